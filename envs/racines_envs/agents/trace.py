@@ -25,13 +25,13 @@ from torch.nn.utils.rnn import pad_sequence
 from racines_data.digest import canonical_json
 from racines_data.errors import RacinesError
 from racines_data.files import write_atomic
-from racines_data.patients.splits import seeds_of
+from racines_data.patients.splits import SPLITS, seeds_of
 from racines_data.randomness import derive
-from racines_envs.agents.protocol import Untrained
+from racines_envs.agents.protocol import DISCRETE, Agent, Untrained, acts
 from racines_envs.agents.rollout import Episodes
 from racines_envs.task.actions import ACTIONS, IDLE
 from racines_envs.task.core import OBSERVATIONS, ScanCore
-from racines_envs.task.names import HEART_TIER, task_name
+from racines_envs.task.names import GOALS, HEART_TIER, TIERS, task_name
 from racines_envs.task.starts import evaluation_seeds, patient_seeds
 from racines_envs.worlds.making import phantom_recipe
 from racines_models.provenance import sha256_bytes
@@ -97,6 +97,22 @@ def circumstances(core: ScanCore, backend: str) -> dict[str, Any]:
     return json.loads(json.dumps(told | {"phantom": phantom_recipe(core.phantom)}))
 
 
+def check_traceable(agent: Agent) -> None:
+    """Refuse an agent that takes other than the numbered steps, before it acts."""
+    if (action := acts(agent)) != DISCRETE:
+        raise RacinesError(
+            f"{agent.name} acts by {action}: a trace holds the {len(ACTIONS)} discrete steps alone"
+        )
+
+
+def refuse_trace(agent: Agent) -> None:
+    """Refuse a trace where it matters what an agent looks at."""
+    if isinstance(agent, TraceAgent):
+        raise RacinesError(
+            f"{agent.path}: a trace looks at nothing: name the agent, or a policy as ONNX"
+        )
+
+
 def write_trace(path: Path, told: dict[str, Any], parts: Iterable[Episodes]) -> tuple[int, int]:
     """Write the actions of all episodes, in the order of their starts; return episodes and steps.
 
@@ -131,6 +147,7 @@ def read_trace(path: Path) -> Trace:
             raise RacinesError(f"{path}: {key}: a {type(told[key]).__name__} is refused")
     if told["schema"] != SCHEMA or told["observation"] not in OBSERVATIONS:
         raise RacinesError(f"{path}: schema is not {SCHEMA}, or observation is unknown")
+    _task_of(told["task"], path)
     starts = _start_set(told["start_set"], path)
     rows = told.pop("episodes")
     if len(rows) != len(starts.units) * starts.each:
@@ -160,6 +177,19 @@ def _read(path: Path) -> dict[str, Any]:
     return told
 
 
+def _task_of(told: dict[str, Any], path: Path) -> str:
+    """Return the name of the task that a trace was recorded at; on patients it is a known one."""
+    view, tier = (told.get(key, usual) for key, usual in TOLD.items())
+    if not isinstance(view, str) or not 0 < len(view) <= SHOWN or not view.isprintable():
+        raise RacinesError(f"{path}: task.view: {_short(view)}: give the name of a view")
+    if tier not in TIERS or (tier != HEART_TIER and view not in GOALS):
+        goals = f"with {' or '.join(TIERS[1:])} one of {', '.join(GOALS)}"
+        raise RacinesError(
+            f"{path}: task: view {view}, tier {_short(tier)}: choose {', '.join(TIERS)}, {goals}"
+        )
+    return task_name(view, tier=tier)
+
+
 def _start_set(told: dict[str, Any], path: Path) -> Starts:
     sets, starts = told.get("seeds", []), told.get("starts", 0)
     whole = isinstance(sets, list) and all(type(s) is int and 0 <= s < 2**31 for s in sets)
@@ -177,7 +207,9 @@ def _start_set(told: dict[str, Any], path: Path) -> Starts:
 def _on_patients(told: dict[str, Any], seeds: list[int], starts: int, path: Path) -> Starts:
     """Return the starts on a split's first patients; `seeds` is empty where they are at fault."""
     split, count = told["split"], told.get("patients")
-    known = seeds_of(split) if isinstance(split, str) else ()
+    if not isinstance(split, str) or split not in SPLITS:
+        raise RacinesError(f"{path}: start_set.split: {_short(split)}: choose {', '.join(SPLITS)}")
+    known = seeds_of(split)
     count = count if type(count) is int else 0
     fits = len(seeds) == 1 and set(told) == PATIENTS_KEYS
     if not fits or not 0 < count <= len(known) or count * starts > MAX_EPISODES:
@@ -232,9 +264,7 @@ class TraceAgent(Untrained):
         self.trace = read_trace(self.path)
         self.sha256 = sha256_bytes(self.path.read_bytes())
         """Hash of the file."""
-        task = self.trace.told["task"]
-        view, tier = (str(task.get(key, usual)) for key, usual in TOLD.items())
-        self.view: str = task_name(view, tier=tier)
+        self.view: str = _task_of(self.trace.told["task"], self.path)
         self.seen: str = self.trace.told["observation"]
         """What the recorded agent looked at, by its own word."""
         self._rows: Tensor | None = None

@@ -179,28 +179,28 @@ def export_trace(
     With --tier patients or beating the starts are those on patients of --split.
     """
     from racines_data.config import fill, section
-    from racines_envs.agents import agent_class
-    from racines_envs.evaluation.agent_specs import RUNS
+    from racines_envs.evaluation.agent_specs import find_entry
     from racines_envs.evaluation.patients import PatientsConfig, record_on_patients
     from racines_envs.evaluation.run import EvaluationConfig, record_trace
 
     check_ending(out, ".json")
     settings, task = read_settings(params, profile), on_tier(view, tier)
     chosen = given(view=task, starts=starts, reward=reward, seed=seed)
-    folder = run or RUNS / agent_class(agent).name
+    entry = find_entry(settings, agent)
+    folder = run or entry.trained
     if task is not None and tier_of(task) != HEART_TIER:
         if grader:
             raise RacinesError("--grader judges the one heart: leave it out")
         stated = section(settings, "evaluation_patients")
         chosen |= given(split=split, patients=patients)
         asked = fill(PatientsConfig, stated | chosen, "evaluation_patients")
-        made = record_on_patients(agent, folder, asked, out)
+        made = record_on_patients(entry.agent, folder, asked, out)
     else:
         if split or patients:
             raise RacinesError("--split and --patients need --tier patients or beating")
-        stated = section(settings, "evaluation") | chosen | given(grader=grader)
-        config = fill(EvaluationConfig, stated, "evaluation")
-        made = record_trace(agent, folder, config, out, phantom_config(settings))
+        chosen = given(view=entry.view) | chosen | given(grader=grader)
+        config = fill(EvaluationConfig, section(settings, "evaluation") | chosen, "evaluation")
+        made = record_trace(entry.agent, folder, config, out, phantom_config(settings))
     line = f"{out}: {made['episodes']:,} episodes, {made['steps']:,} steps"
     if as_json:
         say_json(made)

@@ -24,7 +24,14 @@ from racines_data.phantom.saved import provenance
 from racines_envs.agents import learns, load_agent
 from racines_envs.agents.protocol import FILES, Agent
 from racines_envs.agents.rollout import Episodes, rollout
-from racines_envs.agents.trace import TraceAgent, circumstances, read_trace, write_trace
+from racines_envs.agents.trace import (
+    MAX_EPISODES,
+    TraceAgent,
+    check_traceable,
+    circumstances,
+    read_trace,
+    write_trace,
+)
 from racines_envs.evaluation.agent_specs import check_view, plain_name
 from racines_envs.evaluation.measures import (
     Metrics,
@@ -158,7 +165,7 @@ def evaluate_patients(
     metrics, evidence = measure_patients(values, starts.units)
     task = {
         "view": config.view, "backend": "phantom", "split": config.split,
-        "observation": agent.observation, "reward": config.reward, "start_set": starts.told(config),
+        "observation": shown_to(agent), "reward": config.reward, "start_set": starts.told(config),
         "definition": config.task.definition,
     }  # fmt: skip
     scores = {"schema": SCHEMA, **told_of_agent(agent, trainings, config.device)}
@@ -279,13 +286,21 @@ def record_on_patients(
     """
     config = on_device(config)
     starts = start_set(config)
+    if not 0 <= config.seed < 2**31 or len(starts.patients) * starts.starts > MAX_EPISODES:
+        raise RacinesError(
+            f"evaluation_patients: seed {config.seed}, {len(starts.patients)} patients, "
+            f"{starts.starts} starts on each: a trace takes seeds of 0 to {2**31 - 1} and "
+            f"{MAX_EPISODES:,} episodes in all"
+        )
     acting = open_agents(name, run_dir, config, agent)[0][0]
+    check_traceable(acting)
     told = {"agent": acting.name, "observation": shown_to(acting), "start_set": starts.told(config)}
     parts = []
     for chunk in starts.chunks(config.chunk):
         ((core, episodes),) = _on_chunk(([acting], config, None, None), chunk)
         told |= circumstances(core, "phantom")
         parts.append(episodes)
+        del core  # whose patients need not stay while the next are made
     count, steps = write_trace(path, told, parts)
     read_trace(path)
     return {"out": str(path), "episodes": count, "steps": steps}

@@ -18,7 +18,13 @@ from racines_envs.agents.onnx.policy import OnnxPolicyAgent
 from racines_envs.agents.planner import PlannerAgent
 from racines_envs.agents.protocol import FILES, Agent, Untrained, acts
 from racines_envs.agents.rollout import Episodes, join_episodes, rollout
-from racines_envs.agents.trace import TraceAgent, circumstances, read_trace, write_trace
+from racines_envs.agents.trace import (
+    TraceAgent,
+    check_traceable,
+    circumstances,
+    read_trace,
+    write_trace,
+)
 from racines_envs.evaluation.agent_specs import check_view
 from racines_envs.evaluation.measures import episode_values, latency, measure, measure_by_seed
 from racines_envs.evaluation.trainings import Training, find_trainings, given_trainings
@@ -261,6 +267,7 @@ def record_trace(
     All but `path` is as of `evaluate`; what comes back is that path, and counts.
     """
     agent, core, seeds, _ = prepare(name, run_dir, config, phantom, grader, agent)
+    check_traceable(agent)
     episodes = rollout(core, agent, seeds.to(core.device))
     told = {"agent": agent.name, "observation": shown_to(agent), "start_set": config.start_set}
     told |= circumstances(core, config.backend)

@@ -36,6 +36,7 @@ from racines_data.randomness import derive
 from racines_envs.agents.planner import PlannerAgent
 from racines_envs.agents.protocol import Agent
 from racines_envs.agents.rollout import rollout
+from racines_envs.agents.trace import refuse_trace
 from racines_envs.evaluation.patients import (
     PatientsConfig,
     StartSet,
@@ -131,6 +132,7 @@ def study_ejection(
         )
     starts = start_set(config)
     agents, trainings = open_agents(name, run_dir, config)
+    refuse_trace(agents[0])
     about = told_of_agent(agents[0], trainings, config.device)
     report: dict[str, Any] = {"schema": SCHEMA, **about, "agent": run or about["agent"]}
     report |= {"task": {"view": config.view, "start_set": starts.told(config)}}

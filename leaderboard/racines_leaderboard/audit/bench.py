@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from racines_data.build.dataset import recipe_of
+from racines_data.build.planning import DataConfig
 from racines_data.config import PROFILES, fill, read_params, section
 from racines_data.errors import RacinesError
 from racines_data.files import sha256_file
@@ -41,6 +42,8 @@ PINS = "board.json"
 SETTINGS = "params.yaml"
 """Settings of a board that no profile is for, in its folder."""
 RECORDED = "frames"
+PHANTOM = DataConfig.source
+"""The source whose recipe settings name."""
 """The config of a dataset that is no added one."""
 KINDS = {key: key for key in JUDGES} | {"guide": "grader"}
 """What judge an extractor of a record is; a guide is the grader that an agent goes by."""
@@ -157,17 +160,22 @@ class Bench:
 
     @functools.cached_property
     def recipe(self) -> str | None:
-        """Recipe digest of the dataset that the settings build; None for imported data.
-
-        Of recordings it is known once they are read: of settings that build nothing, it is the one
-        that the board is pinned to, where there is one.
-        """
-        pinned = [pin.get("recipe_digest") for pin in self.pins.values() if isinstance(pin, dict)]
-        if self.settings is not None and not self.settings.get("data") and any(pinned):
-            return next(filter(None, pinned))
+        """Recipe digest of the dataset that the settings build; None for imported data."""
         with contextlib.suppress(RacinesError):
             return None if self.settings is None else recipe_of(section(self.settings, "data"))
         return None
+
+    def recipe_for(self, record: Record) -> tuple[str | None, str]:
+        """Return the recipe digest that a generator's record has to rest on, and who says so.
+
+        That of recordings is known once they are read, and no settings name it: of these it is the
+        one that the record's track is pinned to.
+        """
+        named = section(self.settings or {}, "data").get("source")
+        if PHANTOM in (named, record["scores"]["dataset"]["source"]):
+            return self.recipe, "the recipe that the board's settings build"
+        pinned = self.pins.get(record["track"], {}).get("recipe_digest")
+        return pinned, "the recipe that the board is pinned to"
 
     def recipe_with(self, config: str) -> str | None:
         """Return the recipe digest of a config of the dataset that the settings build, likewise."""
@@ -200,7 +208,8 @@ class Bench:
             told = json.loads((folder / MANIFEST).read_text(encoding="utf-8"))
         except (OSError, ValueError):
             return False
-        return self.recipe is not None and told.get("recipe_digest") == self.recipe
+        pinned = (pin.get("recipe_digest") for pin in self.pins.values() if isinstance(pin, dict))
+        return told.get("recipe_digest") in {self.recipe, *pinned} - {None}
 
     @functools.cached_property
     def store(self) -> FrameStore | None:

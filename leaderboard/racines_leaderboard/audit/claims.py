@@ -207,12 +207,12 @@ def dataset(record: Record, bench: Bench) -> Iterator[Verdict]:
     """Check source, version, digests and sample of the dataset that a generator was scored on."""
     claimed = record["scores"]["dataset"]
     recipe = claimed["recipe_digest"]
-    if bench.recipe is None:
-        reason = f"no settings of board {bench.board} here that name a recipe: give --params"
-        yield unknown("dataset.recipe_digest", reason, recipe)
+    wanted, reason = bench.recipe_for(record)
+    if wanted is None:
+        reason = f"no settings of board {bench.board} here that name a recipe, nor is it pinned"
+        yield unknown("dataset.recipe_digest", f"{reason}: give --params", recipe)
     else:
-        reason = "the recipe that the board's settings build"
-        yield equal("dataset.recipe_digest", recipe, bench.recipe, reason)
+        yield equal("dataset.recipe_digest", recipe, wanted, reason)
     if bench.settings is None:
         yield unknown("dataset.split", bench.no_settings, claimed["split"])
     else:

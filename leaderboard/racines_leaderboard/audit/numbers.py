@@ -54,7 +54,10 @@ OTHERS, ITEMS = 1e-3, 2.0
 SHARE = 0.25
 """Of the half-width of an interval, for half-precision weights."""
 SUMMED = 1e-12
-"""What the order of a sum of doubles may change, of a value's size; resampling, `CLOSE`."""
+"""What the order of a sum of doubles may change, of a value's size, or of 1 if it is less; of what
+is computed of many, `CLOSE`."""
+DISTANCES = re.compile(r"(fid|kid)(_.+)?")
+"""Of eigenvalues and of cubes: rounding grows."""
 NUMBERS = (*ENDS, "n")
 CONTINUOUS = ("ssim", "psnr", "fid", "kid", "final_grade", "spl", "position_error", "return",
               "gpe", "gle", "lpe", "lle")  # fmt: skip
@@ -69,6 +72,17 @@ def check_metrics(record: Record, bench: Bench) -> Iterator[Verdict]:
             count = None if TIMED.fullmatch(key) else counts.get(key)
             yield from _by_itself(f"{place}.{key}", metric, count)
     yield from _methods(record, bench)
+    yield from _strata(record)
+
+
+def _strata(record: Record) -> Iterator[Verdict]:
+    """Check that the strata together have the items of the whole."""
+    strata = record["scores"].get("by_stratum", {}).values()
+    for key in dict.fromkeys(key for each in strata for key in each):
+        if key in record["scores"]["metrics"]:
+            found = sum(each[key]["n"] for each in strata if key in each)
+            whole = record["scores"]["metrics"][key]["n"]
+            yield equal(f"by_stratum.{key}.n", found, whole, "n of all frames")
 
 
 def _groups(scores: dict[str, Any]) -> dict[str, dict[str, Any]]:
@@ -188,7 +202,7 @@ def agreement(record: Record, made: dict[str, Any], road: str) -> str:
     """Return how near the numbers must come: `bitwise`, `tolerance` or `half precision`.
 
     The name of a processor does not tell all of it. Where the machines are the same by name and
-    not half of the continuous metrics are equal, they are not the same.
+    not half of the continuous metrics are equal but for rounding, they are not the same.
     """
     if road == HALF:
         return HALF
@@ -196,8 +210,14 @@ def agreement(record: Record, made: dict[str, Any], road: str) -> str:
     same = not differing(scores["environment"], made["environment"])
     there, here = scores["metrics"], made["metrics"]
     both = [key for key in CONTINUOUS if key in there and key in here]
-    exact = [key for key in both if there[key]["value"] == here[key]["value"]]
+    exact = [key for key in both if _alike(key, there[key]["value"], here[key]["value"])]
     return BITWISE if same and 2 * len(exact) >= len(both) else TOLERANCE
+
+
+def _alike(key: str, stated: float | None, value: float | None) -> bool:
+    if stated is None or value is None:
+        return stated == value
+    return abs(stated - value) <= _rounding(value, _share(key, "value"))
 
 
 def compare_numbers(record: Record, made: dict[str, Any], tier: str) -> Iterator[Verdict]:
@@ -231,8 +251,7 @@ def _numbers(
     allowed, doubtful = bounds_of(key, here, tier, track)
     for number in NUMBERS:
         stated, value = claimed[number], here[number]
-        share = CLOSE if number in ENDS[1:] else SUMMED
-        bound = _rounding(value, share) if tier == BITWISE else allowed
+        bound = _rounding(value, _share(key, number)) if tier == BITWISE else allowed
         bound = 0.0 if number == "n" else bound
         say, reason = fails, "one of the two is missing"
         if stated == value:
@@ -248,6 +267,11 @@ def _numbers(
 
 def _rounding(value: float | None, share: float) -> float:
     return share * max(1.0, abs(value or 0.0))
+
+
+def _share(key: str, number: str) -> float:
+    """Return what rounding may change: little of a sum, more where much is computed of sums."""
+    return CLOSE if number in ENDS[1:] or DISTANCES.fullmatch(key) else SUMMED
 
 
 def bounds_of(key: str, here: dict[str, Any], tier: str, track: str) -> tuple[float, float]:
@@ -270,6 +294,8 @@ def bounds_by_metric(made: dict[str, Any], tier: str, track: str) -> dict[str, f
     """Return the difference that passes of each metric, and of the parts of a record."""
     metrics = made["metrics"].items()
     if tier == BITWISE:
-        return {key: _rounding(here["value"], SUMMED) for key, here in metrics}
-    bounds = {key: bounds_of(key, here, tier, track)[0] for key, here in metrics}
-    return bounds | ({"explained": OTHERS} if track == MOTION.name else {})
+        bounds = {key: _rounding(here["value"], _share(key, "value")) for key, here in metrics}
+    else:
+        bounds = {key: bounds_of(key, here, tier, track)[0] for key, here in metrics}
+    explained = SUMMED if tier == BITWISE else OTHERS
+    return bounds | ({"explained": explained} if track == MOTION.name else {})

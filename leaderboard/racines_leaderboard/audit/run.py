@@ -38,6 +38,7 @@ from racines_leaderboard.audit.robustness import check_robustness
 from racines_leaderboard.audit.tier import check_reproduced, check_tier, tier_of
 from racines_leaderboard.audit.verdicts import (
     DIFFERS,
+    HOLDS,
     SKIPPED,
     UNKNOWN,
     Report,
@@ -221,12 +222,14 @@ def _recomputed(
         verdicts += further_trainings(record, evidence, bench)
     else:
         verdicts += compare_numbers(record, again, tier)
-        verdicts += _digest(record, again, tier)
     verdicts += _each_item(record, evidence, made, bounds)
+    held = (each.reason for each in verdicts if each.verdict == HOLDS)
+    apart = tier == BITWISE and any(DIFFERS in reason for reason in held)
+    if not partly and not apart:
+        verdicts += _digest(record, again, tier)
     if road.name == "fitted":
         verdicts += _fitted(record, again, tier, road.source)
     verdicts += check_reproduced(record, again, road.name, tier)
-    apart = tier == BITWISE and any(DIFFERS in each.reason for each in verdicts)
     how = {"road": road.name, "agreement": ROUNDING if apart else tier, "from": road.source}
     return verdicts, how | {"environment": again["environment"]}
 

@@ -9,7 +9,7 @@ from racines_envs.evaluation.patients import PatientsConfig
 from racines_envs.task.names import tier_of
 from racines_leaderboard.records.tracks import PATIENT_AGENTS, PATIENT_GENERATORS
 from racines_leaderboard.submissions.document import find_submission
-from racines_leaderboard.submissions.worlds import view_of
+from racines_leaderboard.submissions.worlds import views_of
 from racines_models.registry import PATIENTS
 
 
@@ -48,6 +48,7 @@ def board_of(folder: Path, settings: dict[str, Any], asked: str | None = None) -
 def _tier(folder: Path, settings: dict[str, Any]) -> str:
     """Return the tier of the task that was handed in for; where none is said, the settings'."""
     document = find_submission(folder.parents[1], folder.parent.name, folder.name)
-    view = None if document is None else view_of(folder, document)
+    views = {} if document is None else views_of(folder, document)
+    view = next(iter(views.values()), None)
     config = fill(PatientsConfig, section(settings, "evaluation_patients"), "evaluation_patients")
     return tier_of(view or config.view)

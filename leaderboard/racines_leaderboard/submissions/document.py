@@ -150,11 +150,11 @@ def check_artefacts(document: dict[str, Any], where: str) -> None:
     # A robustness report says itself in which world it was made, and one submission may have two.
     made = [each for each in files_of(document) if each["kind"] != "robustness"]
     if made and "digest" not in document["dataset"]:
-        raise RacinesError(
-            f"{where}: dataset.digest: missing: the content or recipe digest of the data"
-        )
+        raise RacinesError(f"{where}: dataset.digest: missing: give the data's, or its recipe's")
     kinds = [each["kind"] for each in rescored(document)]
     several = len(kinds) > 1 and document["track"] not in SEVERAL.get(kinds[0], ())
+    if {"trace", "robustness"} <= {each["kind"] for each in document["artefacts"]}:
+        raise RacinesError(f"{where}: artefacts: a trace looks at nothing: leave robustness out")
     if len(set(kinds)) > 1 or several:
         raise RacinesError(
             f"{where}: artefacts: {', '.join(kinds)}: give one that is scored again; several only "

@@ -8,40 +8,45 @@ from racines_envs.agents.onnx.policy import read_policy
 from racines_envs.agents.trace import TraceAgent
 from racines_envs.task.names import HEART_TIER, tier_of
 from racines_envs.worlds.making import patients_recipe
-from racines_leaderboard.records.tracks import PATIENT_AGENTS
+from racines_leaderboard.records.tracks import AGENTS, PATIENT_AGENTS
 from racines_leaderboard.submissions.document import rescored
 
 OPENED = {"policy": lambda path: read_policy(path)[1].view, "trace": lambda p: TraceAgent(p).view}
 
 
-def view_of(folder: Path, document: dict[str, Any]) -> str | None:
-    """Return the task that a submission's policies or trace name; None if they name none.
+def views_of(folder: Path, document: dict[str, Any]) -> dict[str, str]:
+    """Return the tasks that a submission's policies or trace name, by their files.
 
-    Files that lie at their URL are not asked.
+    Files that lie at their URL are not asked, and a policy need not name one.
     """
-    view = None
+    found = {}
     for artefact in rescored(document):
         if (path := folder / artefact["path"]).is_file():
-            view = OPENED[artefact["kind"]](path) or view
-    return view
+            found[artefact["path"]] = OPENED[artefact["kind"]](path)
+    return {name: view for name, view in found.items() if view}
 
 
 def check_world(folder: Path, document: dict[str, Any], where: str) -> None:
-    """Check that an agent on patients was made for the world that its task has here.
+    """Check that an agent's files were made for its track, and for the world that is here.
 
     Raises:
-        RacinesError: a task on the one heart, or the digest of another world.
+        RacinesError: a task of another track, or the digest of another world.
     """
-    if document["track"] != PATIENT_AGENTS.name or (view := view_of(folder, document)) is None:
+    if document["track"] not in (AGENTS.name, PATIENT_AGENTS.name):
         return
-    if tier_of(view) == HEART_TIER:
-        raise RacinesError(
-            f"{where}: track: {PATIENT_AGENTS.name}; its files are for {view} of the one heart: "
-            f"name the task {view}-patients or {view}-beating, or give track: agents"
-        )
-    named, here = document["dataset"]["digest"], patients_recipe(tier_of(view))["recipe_digest"]
-    if named != here:
-        raise RacinesError(
-            f"{where}: dataset.digest: {named}; the world of {view} is {here} here: give the one "
-            "that it was made for (phantom.recipe_digest of its scores), with that version"
-        )
+    on_patients = document["track"] == PATIENT_AGENTS.name
+    for name, view in views_of(folder, document).items():
+        tier = tier_of(view)
+        if on_patients == (tier == HEART_TIER):
+            of = "the one heart" if on_patients else "patients"
+            other = AGENTS.name if on_patients else PATIENT_AGENTS.name
+            raise RacinesError(
+                f"{where}: track: {document['track']}; {name} is for {view} of {of}: give track: "
+                f"{other}, or a file for a task of this one"
+            )
+        named = document["dataset"]["digest"]
+        if on_patients and named != (here := patients_recipe(tier)["recipe_digest"]):
+            raise RacinesError(
+                f"{where}: dataset.digest: {named}; the world of {view} is {here} here: give the "
+                "one that it was made for (phantom.recipe_digest of its scores), with that version"
+            )

@@ -2,11 +2,13 @@
 
 import json
 from dataclasses import replace
+from typing import Any, cast
 
 import pytest
 
 from racines_data.errors import RacinesError
 from racines_envs.agents import load_agent
+from racines_envs.agents.planner import PlannerAgent
 from racines_envs.agents.trace import read_trace
 from racines_envs.evaluation.patients import (
     PatientsConfig,
@@ -14,6 +16,8 @@ from racines_envs.evaluation.patients import (
     record_on_patients,
 )
 from racines_envs.evaluation.run import EvaluationConfig, evaluate, record_trace
+from racines_envs.studies.ejection import EjectionConfig, study_ejection
+from racines_envs.studies.robustness.run import RobustnessConfig, evaluate_robustness
 from tests.envs.agents.test_onnx_policy import policy
 from tests.envs.fakes import FakeGrader, FakePhantom
 from tests.variants import crossed
@@ -141,10 +145,16 @@ def test_a_trace_is_not_trained(trace):
 PATIENTS = PatientsConfig("A4C-beating", patients=3, starts=2, chunk=2)
 
 
+class Looking(PlannerAgent):
+    """The planner, who is shown images."""
+
+    observation = "image"
+
+
 @pytest.fixture(scope="module")
 def on_patients(tmp_path_factory):
     path = tmp_path_factory.mktemp("patients") / "t.json"
-    made = record_on_patients("planner", path.parent, PATIENTS, path)
+    made = record_on_patients("", path.parent, PATIENTS, path, agent=Looking())
     assert made["episodes"] == 6
     return path
 
@@ -152,10 +162,10 @@ def on_patients(tmp_path_factory):
 def test_a_trace_on_patients_has_the_figures_of_its_agent(on_patients, tmp_path):
     keys = "metrics", "by_pathology", "task", "phantom", "seeds"
     for config in (PATIENTS, replace(PATIENTS, chunk=3)):
-        here = evaluate_patients("planner", tmp_path, config).scores
+        here = evaluate_patients("", tmp_path, config, agent=Looking()).scores
         played = evaluate_patients(str(on_patients), tmp_path, config).scores
         assert {key: here[key] for key in keys} == {key: played[key] for key in keys}
-        assert played["agent"] == "trace"
+        assert played["agent"] == "trace" and played["task"]["observation"] == "image"
     rows = json.loads(on_patients.read_text())["episodes"]
     assert [(each["patient"], each["index"]) for each in rows] == [
         (10_000 + patient, index) for patient in range(3) for index in range(2)
@@ -186,8 +196,20 @@ def test_a_trace_on_patients_is_of_its_own_starts(on_patients, tmp_path, changes
         (lambda told: told["start_set"].update(patients=0), "start_set: give digest, patients"),
         (lambda told: told["start_set"].update(patients="3"), "start_set: give digest, patients"),
         (lambda told: told["start_set"].update(seeds=[0, 1]), "one seed"),
-        (lambda told: told["start_set"].update(split="nowhere"), "nowhere"),
-        (lambda told: told["start_set"].update(split=None), "start_set: give digest"),
+        (lambda told: told["start_set"].update(split="nowhere"), 't.json: start_set.split: "nowhe'),
+        (lambda told: told["start_set"].update(split=None), "start_set.split: null: choose train"),
+        (lambda told: told["start_set"].update(split=["x" * 999]), r"split: .{0,81}: choose train"),
+        (lambda told: told["task"].update(view="XX"), "t.json: task: view XX, tier .beating.: cho"),
+        (
+            lambda told: told["task"].update(view="\x1b[2J"),
+            "task.view: .*: give the name of a view",
+        ),
+        (lambda told: told["task"].update(view="A" * 999), "task.view: .{0,82}: give the name"),
+        (
+            lambda told: told["task"].update(tier="moon"),
+            "task: view A4C, tier .moon.: choose",
+        ),
+        (lambda told: told.update(task={}), 'task.view: "": give the name of a view'),
         (lambda told: told["start_set"].pop("digest"), "start_set: give digest"),
         (lambda told: told["start_set"].update(starts=5000), "10,000 episodes in all"),
         (lambda told: told["episodes"].pop(), "5 episodes: its start set has 3 x 2"),
@@ -213,3 +235,30 @@ def test_a_trace_on_patients_ends_with_its_episodes(on_patients, tmp_path):
         (tmp_path / "t.json").write_text(json.dumps(told))
         with pytest.raises(RacinesError, match=f"patient 10001, {message}"):
             evaluate_patients(str(tmp_path / "t.json"), tmp_path, PATIENTS)
+
+
+def test_what_cannot_be_recorded_is_refused_before_anybody_acts(tmp_path, phantom, monkeypatch):
+    path, acting = tmp_path / "t.json", Looking()
+    monkeypatch.setattr("racines_envs.evaluation.patients._on_chunk", None)
+    for config, message in (
+        (replace(PATIENTS, seed=-1), "evaluation_patients: seed -1"),
+        (replace(PATIENTS, starts=5000), "5000 starts on each: .* 10,000 episodes in all"),
+    ):
+        with pytest.raises(RacinesError, match=message):
+            record_on_patients("", tmp_path, config, path, agent=acting)
+    acting.action = "velocity"
+    with pytest.raises(RacinesError, match="planner acts by velocity: a trace holds the 13"):
+        record_on_patients("", tmp_path, PATIENTS, path, agent=acting)
+    monkeypatch.setattr("racines_envs.evaluation.run.rollout", None)
+    with pytest.raises(RacinesError, match="planner acts by velocity"):
+        record_trace("", tmp_path, FEW, path, phantom, agent=acting)
+    assert not path.exists()
+
+
+def test_a_trace_is_no_agent_where_it_matters_what_is_seen(on_patients, tmp_path):
+    config = RobustnessConfig(view="A4C-beating", patients=1, starts=1)
+    with pytest.raises(RacinesError, match="a trace looks at nothing: name the agent"):
+        evaluate_robustness(str(on_patients), tmp_path, config, tmp_path / "r.json")
+    measured = EjectionConfig(view="A4C-beating", patients=1, starts=1)
+    with pytest.raises(RacinesError, match="a trace looks at nothing"):
+        study_ejection(str(on_patients), tmp_path, measured, cast(Any, None))

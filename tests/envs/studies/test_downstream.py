@@ -369,19 +369,31 @@ def test_points_that_were_published_are_not_measured_again(tmp_path, monkeypatch
     config = DownstreamConfig(points=("truth",), published=str(tmp_path))
     monkeypatch.setattr(module, "_prepare", None)  # nobody is examined
     path = point_file(open_point("truth"), config, tmp_path)
-    published = tmp_path / path.name
-    told = {"schema": module.SCHEMA, "spec": "truth", "found": {"A4C": {}}}
+    published, own = tmp_path / path.name, tmp_path / "own"
+    told = dict.fromkeys(module.KEYS, 0) | {"schema": module.SCHEMA, "spec": "truth"}
+    told |= {"kind": "truth", "weights": {}}
     published.write_text(json.dumps(told))
-    own = tmp_path / "own"
     assert measure_points(config, own) == [told | {"label": "truth"}]
     named = replace(config, points=("mine=truth",))
     assert measure_points(named, own) == [told | {"label": "mine"}]
-    for damage, said in (("{", "not readable"), ('{"spec": "cgan"}', "not a result of 'truth'")):
+    remedy = "get it again, or leave downstream.published empty"
+    lacking = {key: value for key, value in told.items() if key != "metrics"}
+    for damage, said in (
+        ("{", "not readable as JSON"), ("[]", "not a result of 'truth'"),
+        (json.dumps(told | {"spec": "cgan"}), "not a result of 'truth'"),
+        (json.dumps(told | {"weights": {"w": "0"}}), "not a result of 'truth'"),
+        (json.dumps(lacking), "not a result of 'truth'"),
+    ):  # fmt: skip
         published.write_text(damage)
-        with pytest.raises(RacinesError, match=f"{path.name}: {said}"):
+        with pytest.raises(RacinesError, match=f"{path.name}: {said}: {remedy}"):
             measure_points(config, own)
+    mine = point_file(open_point("truth"), config, own)
+    mine.parent.mkdir(parents=True)
+    mine.write_text("{")
+    with pytest.raises(RacinesError, match=f"{path.name}: not readable as JSON: remove it"):
+        measure_points(config, own)
     with pytest.raises(RacinesError, match=r"downstream.published: .*: no such folder"):
-        measure_points(replace(config, published=str(own / "nowhere")), own)
+        measure_points(replace(config, published=str(own / "nowhere")), tmp_path / "other")
 
 
 @pytest.mark.thorough

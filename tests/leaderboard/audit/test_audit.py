@@ -13,7 +13,14 @@ from typer.testing import CliRunner
 from racines_data.files import sha256_file
 from racines_data.store.frames import open_store
 from racines_leaderboard.audit.bench import Bench, Places
-from racines_leaderboard.audit.numbers import BITWISE, HALF, compare_numbers
+from racines_leaderboard.audit.numbers import (
+    BITWISE,
+    HALF,
+    TOLERANCE,
+    agreement,
+    bounds_by_metric,
+    compare_numbers,
+)
 from racines_leaderboard.audit.roads import Road
 from racines_leaderboard.audit.run import audit, retrain
 from racines_leaderboard.audit.verdicts import FAILS, HOLDS, UNKNOWN, Report
@@ -22,6 +29,7 @@ from racines_leaderboard.records.schema import check, sealed
 from racines_leaderboard.records.verdicts import NOT_VERIFIED
 from racines_models.exchange.onnx.generator import OnnxGenerator
 from racines_models.exchange.predictions.file import Task, write_predictions
+from racines_models.provenance import environment
 from racines_models.published.places import CHECKOUT, WEIGHTS
 from racines_models.sample import take_sample
 from racines_models.scores.scoring import score
@@ -259,6 +267,29 @@ def test_values_and_ends_are_rounded_alone_where_bits_are_equal(number, moved, v
     found = {each.subject: each.verdict for each in compare_numbers(record, made, BITWISE)}
     assert found.pop(f"metrics.position_error.{number}") == verdict
     assert set(found.values()) == {HOLDS}
+
+
+@pytest.mark.parametrize(("apart", "wanted"), [(0.0, BITWISE), (1e-14, BITWISE), (1e-6, TOLERANCE)])
+def test_whoever_differs_in_every_value_by_rounding_gains_no_tolerance(apart, wanted):
+    figures = {"ssim": 0.7, "psnr": 22.5, "fid": 85.0, "kid": 0.08}
+    here = {key: {"value": value} for key, value in figures.items()}
+    there = {key: {"value": value * (1 + apart)} for key, value in figures.items()}
+    scores = {"environment": environment(), "metrics": there}
+    made = {"environment": environment(), "metrics": here}
+    assert agreement({"scores": scores}, made, "run") == wanted
+
+
+def test_what_is_computed_of_many_sums_and_what_explains_motion_are_rounded_too():
+    metric = {"value": 85.0, "low": 80.0, "high": 90.0, "n": 300, "settings": {}}
+    bounds = bounds_by_metric({"metrics": {"fid": metric, "psnr": metric}}, BITWISE, "motion")
+    assert 0.0 < bounds["explained"] < bounds["psnr"] < bounds["fid"] < 1e-6
+    for moved, verdict in ((85e-11, HOLDS), (1e-6, FAILS)):
+        record = {
+            "track": "generators",
+            "scores": {"metrics": {"fid": metric | {"value": 85 + moved}}},
+        }
+        found = list(compare_numbers(record, {"metrics": {"fid": metric}}, BITWISE))
+        assert found[0].verdict == verdict
 
 
 def test_what_is_not_here_is_said_to_be_unknown(merged):

@@ -222,9 +222,12 @@ def test_a_policy_of_the_one_heart_is_refused_before_it_is_taken_in(board):
     )
     dataset = {"source": "phantom", "version": recipe["version"], "digest": recipe["recipe_digest"]}
     about = {"track": "patient-agents", "dataset": dataset}
-    with pytest.raises(RacinesError, match="its files are for SC of the one heart: name the task"):
+    with pytest.raises(RacinesError, match=r"p\.onnx is for SC of the one heart: give track: ag"):
         submitted(board, "policy", path, recipe["recipe_digest"], **about)
     assert not (board / "leaderboard/submissions/patient-agents/mine").exists()
+    path = sound_policy(inbox(board, "on") / "p.onnx", view="SC-beating")
+    with pytest.raises(RacinesError, match="is for SC-beating of patients: give track: patient-a"):
+        submitted(board, "policy", path, recipe["recipe_digest"])
 
 
 def test_policies_on_patients_are_the_trainings_of_one_method(board):

@@ -17,6 +17,7 @@ from racines_leaderboard.board.standing import is_bound
 from racines_leaderboard.fresh.draws import draw_in_secret
 from racines_leaderboard.fresh.rounds import Secret, commit
 from racines_leaderboard.records.ranges import check_possible, range_of
+from racines_leaderboard.records.schema import sealed
 from racines_leaderboard.records.tracks import GENERATORS, TURN_GENERATORS, track_of
 from racines_models.scores import features, scoring
 from tests.data.sources.rotation_folder import write_rotation
@@ -49,10 +50,10 @@ def made(tmp_path_factory) -> Path:
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
         coarse(patch)
-        write_rotation(folder / "heart", turns=36)
+        write_rotation(folder / "recording", turns=36)
         Path("params.yaml").write_text(yaml.safe_dump(SETTINGS), encoding="utf-8")
         words = "--source", "rotation", "--set", "split=gap", "--out", "turns", "--workers", "1"
-        racines("data", "import", "heart", *words)
+        racines("data", "import", "recording", *words)
         for name in NAMES:
             racines("train", "generator", name, "--data", "turns", "--json")
             alone = "--no-grader", "--no-pose", "--json"
@@ -149,7 +150,23 @@ def test_an_audit_knows_the_recording_by_the_recipe_that_the_board_is_pinned_to(
     (report,) = json.loads(racines("audit", "vae-gan", *words, code=1))["reports"]
     wrong = {each["subject"] for each in report["verdicts"] if each["verdict"] == "does not hold"}
     assert wrong == {"dataset.recipe_digest"}
+    # Of recordings no settings name the recipe, whatever they say beside: that cannot be checked.
+    unpinned = {key: each for key, each in pinned.items() if key != TURN_GENERATORS.name}
+    for pin, settings in ((unpinned, SETTINGS), (unpinned, SETTINGS | {"data": {"workers": 1}})):
+        pins.write_text(json.dumps(pin))
+        Path("params.yaml").write_text(yaml.safe_dump(settings), encoding="utf-8")
+        (report,) = json.loads(racines("audit", "vae-gan", *words, code=3))["reports"]
+        told = {each["subject"]: each["verdict"] for each in report["verdicts"]}
+        assert told["dataset.recipe_digest"] == "cannot be checked"
+        assert "does not hold" not in told.values()
+    # Settings that say the phantom speak against recordings.
+    told = yaml.safe_dump(SETTINGS | {"data": {"source": "phantom"}})
+    Path("params.yaml").write_text(told, encoding="utf-8")
+    (report,) = json.loads(racines("audit", "vae-gan", *words, code=1))["reports"]
+    wrong = {each["subject"] for each in report["verdicts"] if each["verdict"] == "does not hold"}
+    assert wrong == {"dataset.recipe_digest"}
     pins.write_text(kept)
+    Path("params.yaml").write_text(yaml.safe_dump(SETTINGS), encoding="utf-8")
     # Settings that are not here speak against nothing; beside the results they are found.
     shutil.move("params.yaml", "aside.yaml")
     (report,) = json.loads(racines("audit", "vae-gan", *words, code=3))["reports"]
@@ -159,6 +176,19 @@ def test_an_audit_knows_the_recording_by_the_recipe_that_the_board_is_pinned_to(
     shutil.move("aside.yaml", "leaderboard/params/turned.yaml")
     (report,) = json.loads(racines("audit", "vae-gan", *words, code=3))["reports"]
     assert "no settings of board" not in json.dumps(report)
+
+
+def test_strata_have_the_frames_of_the_whole(board, monkeypatch):
+    coarse(monkeypatch)
+    path = RESULTS / "turned/turn-generators/vae-gan.json"
+    record = json.loads(path.read_text())
+    stratum = next(iter(record["scores"]["by_stratum"].values()))
+    stratum["ssim"]["n"] += 1
+    path.write_text(json.dumps(sealed(record)))
+    words = "--board", "turned", "--data", "turns", "--json", "--quick"
+    (report,) = json.loads(racines("audit", "vae-gan", *words, code=1))["reports"]
+    wrong = {each["subject"] for each in report["verdicts"] if each["verdict"] == "does not hold"}
+    assert "by_stratum.ssim.n" in wrong
 
 
 def test_an_audit_without_the_recording_names_the_import(board, monkeypatch):

@@ -218,3 +218,14 @@ def test_errors_name_the_file_that_was_handed_in(tmp_path):
     for look in (look_at, take_in):
         with pytest.raises(RacinesError, match=re.escape(f"{folder}/policy.onnx: ")):
             look(folder, tmp_path / "submissions")
+
+
+def test_a_trace_has_no_robustness(tmp_path):
+    kinds = {"trace": "t.json", "robustness": "r.json"}
+    for i, name in enumerate(kinds.values()):
+        (tmp_path / name).write_text(f"{{}} {i}")
+    entries = [artefact(kind, tmp_path / name) for kind, name in kinds.items()]
+    dataset = {"source": "phantom", "version": "1.0.0", "digest": "3" * 63 + "a"}
+    path = write_submission(tmp_path, *entries, track="patient-agents", dataset=dataset)
+    with pytest.raises(RacinesError, match="a trace looks at nothing: leave robustness out"):
+        read_submission(path)

@@ -38,6 +38,11 @@ from racines_models.networks.servo import SIDE
 from racines_models.provenance import code_version, environment
 
 SCHEMA = "racines.downstream-point/1"
+KEYS = {
+    "schema", "kind", "spec", "weights", "metrics", "pseudo", "reading", "outcome", "found", "code",
+    "environment", "training_seconds", "seconds",
+}  # fmt: skip
+"""What is told of a point."""
 State = tuple[DownstreamConfig, Path]
 
 
@@ -62,6 +67,7 @@ def measure_points(
     paths = [point_file(point, config, folder) for point in points]
     if len(set(paths)) < len(paths):
         raise RacinesError("downstream.points: two of them draw the same: leave one out")
+    own = paths
     paths = [_published(path, config) or path for path in paths]
     missing = [spec for spec, path in zip(config.points, paths, strict=True) if not path.is_file()]
     state, pool = (config, folder), engine or LocalEngine()
@@ -76,7 +82,9 @@ def measure_points(
         for title in pool.map(work, state, tasks, remedy="to go on"):
             if advance is not None:
                 advance(title)
-    return [_read(path, each) for each, path in zip(points, paths, strict=True)]
+    return [
+        _read(path, each, path != mine) for each, path, mine in zip(points, paths, own, strict=True)
+    ]
 
 
 def _published(path: Path, config: DownstreamConfig) -> Path | None:
@@ -90,13 +98,21 @@ def _published(path: Path, config: DownstreamConfig) -> Path | None:
     return found if found.is_file() else None
 
 
-def _read(path: Path, point: Point) -> dict[str, Any]:
+def _read(path: Path, point: Point, published: bool) -> dict[str, Any]:
+    """Return what is told of a point, measured here or published.
+
+    Raises:
+        RacinesError: a file that is damaged, or of something else.
+    """
+    remedy = "get it again, or leave downstream.published empty" if published else "remove it"
     try:
         told = json.loads(path.read_text(encoding="utf-8"))
     except ValueError as error:
-        raise RacinesError(f"{path}: not readable as JSON: remove it, and run again") from error
-    if not isinstance(told, dict) or (told.get("schema"), told.get("spec")) != (SCHEMA, point.spec):
-        raise RacinesError(f"{path}: not a result of {point.spec!r}: remove it, and run again")
+        raise RacinesError(f"{path}: not readable as JSON: {remedy}, and run again") from error
+    here = {"schema": SCHEMA, "spec": point.spec, "kind": point.kind(), "weights": point.weights}
+    whole = isinstance(told, dict) and told.keys() >= KEYS
+    if not whole or any(told[key] != value for key, value in here.items()):
+        raise RacinesError(f"{path}: not a result of {point.spec!r}: {remedy}, and run again")
     return told | {"label": point.label}
 
 

@@ -22,6 +22,7 @@ from racines_data.files import write_json
 from racines_data.own.pool import make_pool
 from racines_data.patients.population import draw_patient
 from racines_envs.agents.protocol import Agent
+from racines_envs.agents.trace import refuse_trace
 from racines_envs.evaluation.measures import Values, measure_patients, patient_values
 from racines_envs.evaluation.patients import (
     PatientsConfig,
@@ -139,6 +140,7 @@ def evaluate_robustness(
     config, began = on_device(config), time.perf_counter()
     starts, wanted = start_set(config), conditions(config)
     agents, trainings = open_agents(name, run_dir, config)
+    refuse_trace(agents[0])
     about = told_of_agent(agents[0], trainings, config.device)
     document: dict[str, Any] = {
         "schema": SCHEMA, **about, "agent": run or about["agent"],
