@@ -6,6 +6,7 @@ from pathlib import Path
 from racines_data.errors import RacinesError
 from racines_data.files import write_atomic
 from racines_leaderboard.submissions.document import ALL, KINDS, NAME, YAML, measure, opened
+from racines_leaderboard.submissions.worlds import made_for
 
 TEXT = """\
 # Every line that is no comment is needed. What the fields mean: docs/submit.md
@@ -21,9 +22,9 @@ licence: Apache-2.0
 # paper: https://example.org
 tier: recomputed             # the tier asked for; self-reported if nothing can be scored again
 dataset:
-  source: phantom
-  version: 1.0.0
-  digest: "{zeros}"   # its content or recipe digest
+  source: {source}
+  version: {version}
+  digest: "{digest}"   # its content or recipe digest
 seeds: [0]                   # of the training
 code: {{url: "https://example.org/REPOSITORY", commit: "0000000"}}
 training:
@@ -43,12 +44,16 @@ ENTRY = """\
 
 
 def write_template(folder: Path, track: str) -> Path:
-    """Write a new submission.yaml into a folder, with an entry for each file that may be one."""
+    """Write a new submission.yaml into a folder, with an entry for each file that may be one.
+
+    What the files say that they were made for is filled in.
+    """
     if track not in ALL:
         raise RacinesError(f"track {track!r}: choose {', '.join(ALL[:-1])} or {ALL[-1]}")
     path = folder / YAML
     if path.exists():
         raise RacinesError(f"{path}: is there already: edit it, or remove it")
+    told = {"source": "phantom", "version": "1.0.0", "digest": "0" * 64}
     endings = {kind.suffix for kind in KINDS.values()} - {""}
     entries = ""
     for file in sorted(folder.iterdir()) if folder.is_dir() else ():
@@ -56,10 +61,11 @@ def write_template(folder: Path, track: str) -> Path:
             with opened(folder, file.name, str(folder)) as stream:
                 sha256, size = measure(stream, str(file))
             kind = _kind(file, track)
+            told |= made_for(file, kind, track)
             entries += ENTRY.format(kind=kind, path=file.name, sha256=sha256, size=size)
     blank = ENTRY.format(kind="KIND", path="FILE", sha256="0" * 64, size=1)
     name = folder.resolve().name.lower().replace("_", "-")
-    text = TEXT.format(name=name, track=track, zeros="0" * 64, artefacts=entries or blank)
+    text = TEXT.format(name=name, track=track, artefacts=entries or blank, **told)
     write_atomic(path, text)
     return path
 

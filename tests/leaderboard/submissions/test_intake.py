@@ -17,11 +17,15 @@ import yaml
 from typer.testing import CliRunner
 
 from racines_data.errors import RacinesError
+from racines_envs.worlds.making import patients_recipe
 from racines_leaderboard.cli.command import app
 from racines_leaderboard.submissions.document import BLANKS, find_submission
 from racines_leaderboard.submissions.intake import open_https, take_in
+from racines_leaderboard.submissions.template import write_template
+from racines_leaderboard.submissions.worlds import made_for
 from tests.leaderboard.conftest import DIGEST, artefact, generator_scores, write_submission
-from tests.leaderboard.graphs import sound_generator
+from tests.leaderboard.graphs import sound_generator, sound_policy
+from tests.leaderboard.handed_in import inbox as place
 from tests.leaderboard.submissions.test_submission import Payload
 from tests.waiting import PATIENCE
 
@@ -288,6 +292,36 @@ def test_the_command_says_what_is_scored_again(inbox, tmp_path, monkeypatch):
     assert "racines leaderboard --recompute generators/mine" in said
     document = json.loads(invoke("submit", inbox, "--force", "--json"))
     assert document["rescored"] == ["mine.onnx"] and document["name"] == "mine"
+
+
+def test_a_template_names_what_the_files_were_made_for(tmp_path):
+    world = patients_recipe("beating")
+    sound_policy(place(tmp_path, "policy") / "p.onnx", view="SC-beating")
+    path = write_template(tmp_path / "policy", "patient-agents")
+    told = yaml.safe_load(path.read_text())["dataset"]
+    assert told == {
+        "source": "phantom", "version": world["version"], "digest": world["recipe_digest"],
+    }  # fmt: skip
+    # What a file says is taken as it may stand, and left blank else.
+    for phantom in ({"version": "1: x", "recipe_digest": "y"}, {}, {"version": ["a"]}):
+        assert made_for_of(tmp_path, phantom) == {}
+    assert made_for_of(tmp_path, {"version": "2.0.1", "recipe_digest": DIGEST}) == {
+        "version": "2.0.1", "digest": DIGEST,
+    }  # fmt: skip
+    sound_policy(place(tmp_path, "heart") / "p.onnx", view="SC")
+    path = write_template(tmp_path / "heart", "patient-agents")
+    assert yaml.safe_load(path.read_text())["dataset"]["digest"] == "0" * 64
+
+
+def made_for_of(folder, phantom):
+    told = {
+        "schema": "racines.trace/1", "agent": "a", "observation": "params", "backend": "phantom",
+        "reward": "oracle", "task": {"view": "SC"}, "phantom": phantom,
+        "start_set": {"seeds": [0], "starts": 1},
+        "episodes": [{"set": 0, "index": 0, "actions": [12]}],
+    }  # fmt: skip
+    (folder / "t.json").write_text(json.dumps(told))
+    return made_for(folder / "t.json", "trace", "agents")
 
 
 def test_a_template_fits_once_it_is_filled_in(tmp_path):
