@@ -9,6 +9,8 @@ from racines_data.cli import options as opt
 from racines_data.cli.options import given, overrides, read_settings
 
 FOLDER = Path("envs/runs/downstream")
+AT_ONCE = 2.0
+"""Seconds that a study waits for another in its folder."""
 Points = Annotated[
     list[str] | None,
     typer.Argument(
@@ -38,7 +40,7 @@ def downstream(
     from dataclasses import asdict
 
     from racines_data.config import fill, section
-    from racines_data.files import write_atomic, write_json
+    from racines_data.files import locked, write_atomic, write_json
     from racines_data.progress import progress_bar
     from racines_data.tables import console_table
     from racines_envs.studies.downstream import figures
@@ -52,7 +54,12 @@ def downstream(
     values = read_settings(params, profile)
     chosen: dict[str, Any] = given(points=tuple(points) if points else None) | overrides(settings)
     config = fill(DownstreamConfig, section(values, "downstream") | chosen, "downstream")
-    with spread("local", None, workers=workers) as pool, progress_bar(not as_json, "points") as bar:
+    # Two studies in one folder would measure the same points, each half.
+    with (
+        locked(out, AT_ONCE),
+        spread("local", None, workers=workers) as pool,
+        progress_bar(not as_json, "points") as bar,
+    ):
         task = bar.add_task("patients and points", total=steps_of(config))
         rows = measure_points(config, out, pool, lambda _: bar.advance(task))
     add_scores(rows, config.anchors)

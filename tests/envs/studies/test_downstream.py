@@ -12,6 +12,7 @@ from typer.testing import CliRunner
 
 from racines_data.config import fill, read_params
 from racines_data.errors import RacinesError
+from racines_data.files import locked
 from racines_data.geometry import Pose, geodesic, parameters_to_pose, pose_to_parameters
 from racines_data.patients.pool import Pool
 from racines_data.patients.population import draw_patient
@@ -363,6 +364,16 @@ def test_a_study_goes_on_and_takes_new_points(tmp_path, monkeypatch):
     for name in ("downstream.json", "downstream.md", "downstream.png"):
         assert (tmp_path / name).stat().st_size > 300
     assert not [path for path in (tmp_path / "points").iterdir() if path.is_dir()]
+
+
+def test_two_studies_do_not_share_a_folder(tmp_path, monkeypatch):
+    monkeypatch.setattr("racines_envs.cli.downstream.AT_ONCE", 0.1)
+    with locked(tmp_path):
+        done = CliRunner().invoke(app, ["study", "downstream", "truth", "--out", str(tmp_path)])
+    assert done.exit_code == 1 and "another process has been writing there" in " ".join(
+        str(done.exception).split()
+    )
+    assert not list(tmp_path.iterdir())
 
 
 def test_points_that_were_published_are_not_measured_again(tmp_path, monkeypatch):
