@@ -19,6 +19,7 @@ from torch import Tensor
 
 from racines_data.errors import RacinesError
 from racines_data.files import sha256_file
+from racines_data.views import ANATOMIES
 
 SCHEMA = "racines.own-anatomy/1"
 TOLD, TENSORS, CARD = "phantom.json", "phantom.safetensors", "README.md"
@@ -56,9 +57,13 @@ class Saved(NamedTuple):
 def find_saved(name: str) -> Path | None:
     """Return the folder of a phantom of one's own that a name or path stands for; None for others.
 
+    A registered anatomy is what its name says, whatever folders lie about.
+
     Raises:
         RacinesError: a path that leads to no such folder.
     """
+    if name in ANATOMIES.names():
+        return None
     for folder in (Path(name), FOLDER / name):
         if (folder / TOLD).is_file():
             return folder

@@ -12,8 +12,10 @@ import pytest
 from racines_data.errors import RacinesError
 from racines_data.own import from_mesh
 from racines_data.own.voxels import grid_about, inside
+from racines_data.phantom import PhantomConfig
 from racines_data.phantom.anatomy import load_anatomy
-from racines_data.phantom.saved import find_saved, read_saved
+from racines_data.phantom.saved import find_saved, provenance, read_saved
+from racines_envs.worlds.making import phantom_recipe
 
 trimesh = pytest.importorskip("trimesh", reason="needs racines[anatomy]")
 pytest.importorskip("meshio", reason="needs racines[anatomy]")
@@ -262,3 +264,14 @@ def test_fifos_and_links_out_of_the_folder_are_not_opened(tmp_path: Path, patter
     with pytest.raises(RacinesError, match=r"parts\.wall\.mesh: outer.*: a FIFO, a socket"):
         from_mesh(meshes, sheet, tmp_path / "out")
     assert not (tmp_path / "out").exists()
+
+
+def test_a_folder_of_a_registered_anatomys_name_is_in_nobodys_way(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    before = phantom_recipe(PhantomConfig())
+    for name in ("heart", "abdomen"):
+        Path(name).mkdir()
+        assert find_saved(name) is None and provenance(name) is None
+    assert phantom_recipe(PhantomConfig()) == before
+    with pytest.raises(RacinesError, match=r"anatomy \./heart: no folder of a phantom"):
+        find_saved("./heart")
