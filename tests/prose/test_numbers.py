@@ -3,6 +3,8 @@
 import dataclasses
 import json
 import shutil
+import subprocess
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -119,17 +121,59 @@ def test_a_changed_result_is_a_changed_page(repository: Path):
         redraw(repository)
 
 
-@pytest.mark.parametrize("page", PAGES, ids=NAMES)
-def test_every_page_says_what_the_result_files_say(page: Path):
-    """If this fails after a result changed: `make docs-numbers`."""
-    text = page.read_text(encoding="utf-8")
-    new = redrawn(text, str(page.relative_to(ROOT)))
-    changed = [
+def changed(page: Path, root: Path) -> str:
+    """Return what a page says otherwise than the results of a repository; empty if nothing."""
+    text, name = page.read_text(encoding="utf-8"), str(page.relative_to(ROOT))
+    try:
+        new = redrawn(text, name, root)
+    except NoFigure as error:
+        return str(error)
+    return "; ".join(
         f"{old['drawn'].strip()} is now {now['drawn'].strip()}"
         for old, now in zip(MARKER.finditer(text), MARKER.finditer(new), strict=True)
         if old["drawn"] != now["drawn"]
-    ]
-    assert not changed, "draw anew by `make docs-numbers`: " + "; ".join(changed)
+    )
+
+
+@pytest.fixture(scope="session")
+def staged(tmp_path_factory) -> Path | None:
+    """The results that Git holds, where `make repro` has put others in their place; or None."""
+    made = ("leaderboard/results", "leaderboard/LEADERBOARD.md", "envs/runs", "models/runs")
+    git = partial(subprocess.run, cwd=ROOT, capture_output=True)
+    if git(["git", "diff", "--quiet", "--", *made]).returncode != 1:
+        return None
+    files = git(["git", "ls-files", "-z", "*.json", "*.yaml", "leaderboard/results"]).stdout
+    root = tmp_path_factory.mktemp("staged")
+    git(["git", "checkout-index", "-z", "--stdin", f"--prefix={root}/"], input=files, check=True)
+    return root
+
+
+@pytest.mark.parametrize("page", PAGES, ids=NAMES)
+def test_every_page_says_what_the_result_files_say(page: Path, staged: Path | None):
+    """If this fails after a result changed: `make docs-numbers`.
+
+    Whoever has run `make repro` has other results in places, on another processor: there it holds
+    the page to those that Git holds, until they are staged.
+    """
+    told = changed(page, ROOT)
+    if told and staged is not None:
+        told = changed(page, staged)
+    assert not told, f"draw anew by `make docs-numbers`: {told}"
+
+
+def test_results_of_a_run_of_ones_own_are_not_the_pages(staged, tmp_path):
+    """A page differs from made-up results, and from none of those that stand in its repository."""
+    page = ROOT / "docs/generators.md"
+    assert not changed(page, staged or ROOT)
+    for kind in ("*.json", "*.yaml"):
+        for path in [*(ROOT / "docs").rglob(kind), *(ROOT / "leaderboard").rglob(kind)]:
+            copy = tmp_path / path.relative_to(ROOT)
+            copy.parent.mkdir(parents=True, exist_ok=True)
+            shutil.copy(path, copy)
+    for path in (tmp_path / "leaderboard/results/phantom-reference").rglob("*.json"):
+        path.write_text(path.read_text("utf-8").replace('"value": 0.', '"value": 0.9'), "utf-8")
+    markers._document.cache_clear()
+    assert changed(page, tmp_path)
 
 
 @pytest.mark.parametrize("page", PAGES, ids=NAMES)

@@ -38,6 +38,8 @@ OF_TRAININGS = (
 """Those that differ where some of the trainings were made again; the evidence tells them."""
 OF_METRIC = re.compile(r"(metrics|by_(?:seed|pathology|stratum)\.[^.]+)\.([^.]+)\..+")
 """A leaf of a metric: of which group it is, and of which metric."""
+OF_SET = re.compile(r"(metrics|by_(?:seed|pathology|stratum)\.[^.]+)\.[^.]+\.settings\.by_set\..+")
+"""What was measured of one start set, in the settings of a metric."""
 MISSING = object()
 
 
@@ -64,8 +66,8 @@ def compare_leaves(
     Args:
         record: The record.
         made: The scores.
-        bounds: How far a number in the settings of a metric may be off, by metric; or one in
-            another part, by the part.
+        bounds: How far what was measured of each start set may be off, by metric; or a number in
+            another part, by the part. Settings are what they are on every machine.
         partly: Only some of the record's trainings were made again.
     """
     from racines_models.scores.plugin import installed_metrics
@@ -84,7 +86,8 @@ def compare_leaves(
         if _elsewhere(place, partly, stated) or (group, metric) in unmade or metric in added:
             continue
         part = metric if group == "metrics" else place.partition(".")[0]
-        if same(stated, found, bounds.get(part, 0.0)):
+        measured = not metric or OF_SET.fullmatch(place)
+        if same(stated, found, bounds.get(part, 0.0) if measured else 0.0):
             equal += 1
         else:
             apart.append((place, stated, found))

@@ -70,6 +70,9 @@ def check_metrics(record: Record, bench: Bench) -> Iterator[Verdict]:
         counts = _counts(record, bench, place, metrics)
         for key, metric in metrics.items():
             count = None if TIMED.fullmatch(key) else counts.get(key)
+            if (own := metric.get("settings", {}).get("by_set")) is not None:
+                drawn = max(len(record["scores"]["seeds"]), record["scores"].get("runs", 1))
+                yield equal(f"{place}.{key}.by_set.n", len(own), drawn, "sets that were drawn")
             yield from _by_itself(f"{place}.{key}", metric, count)
     yield from _methods(record, bench)
     yield from _strata(record)
@@ -175,7 +178,9 @@ def _episodes(record: Record, place: str, metrics: dict[str, Any]) -> dict[str, 
     counts: dict[str, tuple[int, str]] = dict.fromkeys(metrics, (n, "episodes from the start sets"))
     for key in counts.keys() & {"steps", "steps_median"}:
         counts[key] = (successes, "episodes with true success")
-        if record["scores"].get("runs", 1) > 1:
+        if metrics[key]["value"] is None:
+            counts[key] = (0, "no episode has one")
+        elif record["scores"].get("runs", 1) > 1:
             del counts[key]  # that of the training with the fewest successes: the evidence tells
     return counts
 

@@ -110,6 +110,9 @@ def check_weights(record: Record, bench: Bench) -> Iterator[Verdict]:
     if submitted(record):
         files = sorted(each["path"] for each in rescored(record["submission"]))
         yield equal("weights", sorted(claimed), files, "the artefacts that were scored")
+    elif claimed and (runs := record["scores"].get("runs", 1)) > 1:
+        trainings = {name.rpartition("/")[0] for name in claimed}
+        yield equal("weights.trainings", len(trainings), runs, "the trainings that were scored")
     check = _artefact if submitted(record) else _file
     for name, sha256 in claimed.items():
         yield from check(record, name, sha256, bench)
