@@ -366,6 +366,22 @@ def test_a_study_goes_on_and_takes_new_points(tmp_path, monkeypatch):
     assert not [path for path in (tmp_path / "points").iterdir() if path.is_dir()]
 
 
+def test_published_points_are_those_of_the_profile(tmp_path):
+    """Each file is one that the study asks for, and holds what it takes."""
+    settings = fill(DownstreamConfig, read_params(profile="reference")["downstream"], "downstream")
+    published = ROOT / "docs/results/downstream"
+    asked = {point_file(p, settings, tmp_path).name: p for p in open_points(settings.points)}
+    files = {path.name for path in published.glob("*.json")}
+    assert files and files <= asked.keys()
+    specs = tuple(asked[name].spec for name in sorted(files))
+    config = replace(settings, points=specs, published=str(published))
+    rows = measure_points(config, tmp_path)
+    add_scores(rows, config.anchors)
+    assert [row["spec"] for row in rows] == list(specs)
+    assert all(0.0 <= row["outcome"]["success_declared"]["value"] <= 1.0 for row in rows)
+    assert not list(tmp_path.iterdir())
+
+
 def test_two_studies_do_not_share_a_folder(tmp_path, monkeypatch):
     monkeypatch.setattr("racines_envs.cli.downstream.AT_ONCE", 0.1)
     with locked(tmp_path):
