@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+import re
 import shutil
 from pathlib import Path
 from typing import Any
@@ -219,9 +220,8 @@ def handed_in(digest: str, *files: str) -> None:
         racines("export", "motion", "mean-motion", "--out", f"mine/{file}", *ON)
     racines("submit", "--new", "mine", "--track", "motion")
     path = Path("mine/submission.yaml")
-    text = (
-        path.read_text(encoding="utf-8").replace("0" * 64, digest).replace('"0000000"', '"0a1b2c3"')
-    )
+    text = path.read_text(encoding="utf-8").replace('"0000000"', '"0a1b2c3"')
+    text = re.sub(r'digest: "[0-9a-f]{64}"', f'digest: "{digest}"', text)
     for blank in BLANKS:
         text = text.replace(blank, "an example")
     path.write_text(text, encoding="utf-8")
