@@ -1,6 +1,7 @@
 """Claims on what was scored: artefacts, weights of runs, published copies; what they are of."""
 
 import json
+import re
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -23,6 +24,10 @@ from racines_leaderboard.submissions.document import files_of, rescored
 from racines_models.exchange.predictions.file import Predictions, metadata_of
 from racines_models.provenance import weights_sha256
 from racines_models.registry import PATIENTS
+from racines_models.training.checkpoint import PREFIX
+
+OF_SEED = re.compile(rf"{PREFIX}\d+/")
+"""Of the name of a file of a further training."""
 
 
 def named(record: Record) -> dict[str, str]:
@@ -111,7 +116,7 @@ def check_weights(record: Record, bench: Bench) -> Iterator[Verdict]:
         files = sorted(each["path"] for each in rescored(record["submission"]))
         yield equal("weights", sorted(claimed), files, "the artefacts that were scored")
     elif claimed and (runs := record["scores"].get("runs", 1)) > 1:
-        trainings = {name.rpartition("/")[0] for name in claimed}
+        trainings = {m[0] if (m := OF_SEED.match(name)) else "" for name in claimed}
         yield equal("weights.trainings", len(trainings), runs, "the trainings that were scored")
     check = _artefact if submitted(record) else _file
     for name, sha256 in claimed.items():
