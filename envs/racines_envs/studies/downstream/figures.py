@@ -1,10 +1,12 @@
 """The picture and the tables of a study of what servos learn from generators' images."""
 
 from collections.abc import Iterator, Sequence
-from typing import Any
+from typing import Any, Literal
 
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.text import Text
+from matplotlib.transforms import Bbox
 
 from racines_data.escape import visible
 from racines_data.plotting import BLUE, GREEN, MUTED, ORANGE, PURPLE, card_style, encode
@@ -39,6 +41,12 @@ COLUMNS = {
 """Metrics of the tables: what they are called, and how they are written."""
 NARROW = (SCORE, "ssim", "kid", "dice")
 """Those that a terminal has room for."""
+NAMED: list[tuple[tuple[float, float], Literal["left", "right"]]] = [
+    ((side * across, up), "left" if side > 0 else "right")
+    for across, up in ((6, 0), (5, 7), (5, -7), (12, 14), (12, -14), (20, 22), (20, -22), (34, 30))
+    for side in (1, -1)
+]
+"""Where a point's name may stand, in typographic points off it, and its anchor; nearest first."""
 
 
 @card_style()
@@ -52,12 +60,6 @@ def draw_downstream(document: dict[str, Any]) -> bytes:
     first = axes[SCORE]
     scored = [row for row in rows if SCORE in row["metrics"]]
     _panel(first, document, scored, SCORE)
-    for place, row in enumerate(scored):
-        at = row["metrics"][SCORE]["value"], _percent(row)
-        first.annotate(
-            visible(row["label"]), at, (4, 3 if place % 2 else -8), textcoords="offset points",
-            size=6.5,
-        )  # fmt: skip
     first.set_xlabel(SCORES[SCORE])
     first.set_ylabel("found and declared by the servo, %")
     first.margins(x=0.16)
@@ -77,7 +79,33 @@ def draw_downstream(document: dict[str, Any]) -> bytes:
         f"{settings['judged']} {settings['split']} patients (n = {len(rows)} points)",
         size=10.5,
     )
+    _name_points(first, scored)
     return encode(canvas, dpi=150)
+
+
+def _name_points(axis: Axes, rows: Sequence[dict[str, Any]]) -> None:
+    """Write each point's name beside it, where it meets no other point or name."""
+    canvas = axis.get_figure(root=True)
+    assert isinstance(canvas, Figure)
+    canvas.draw_without_rendering()  # places are known after the layout
+    places = [(row["metrics"][SCORE]["value"], _percent(row)) for row in rows]
+    points = axis.transData.transform(places)
+    taken = [Bbox.from_bounds(x - 4, y - 4, 8, 8) for x, y in points]
+    for row, at in zip(rows, places, strict=True):
+        for offset, side in NAMED:
+            name = axis.annotate(
+                visible(row["label"]), at, offset, textcoords="offset points", size=6.5,
+                ha=side, va="center", arrowprops={"arrowstyle": "-", "lw": 0.4, "color": MUTED},
+            )  # fmt: skip
+            name.get_window_extent()  # places it
+            box = Text.get_window_extent(name).padded(0.5)  # without the line to its point
+            inside = all(axis.bbox.contains(*corner) for corner in (box.p0, box.p1))
+            if inside and not any(box.overlaps(other) for other in taken):
+                break
+            name.remove()
+        else:
+            continue  # a crowd: the table names it
+        taken.append(box)
 
 
 def _panel(axis: Axes, document: dict[str, Any], rows: Sequence[dict[str, Any]], key: str) -> None:
