@@ -52,7 +52,7 @@ class Steering:
         return action
 
     def by_way_of(
-        self, pose: Pose, goal: Pose, then: Pose, slack: float = 0.0
+        self, pose: Pose, goal: Pose, then: Pose, slack: float | Tensor = 0.0
     ) -> tuple[Tensor, Tensor]:
         """Return the (N,) actions to goals, or on to the next where these are reached; and where.
 
@@ -60,7 +60,7 @@ class Steering:
             pose: (N,) poses.
             goal: (N,) poses to go to first.
             then: (N,) poses to go to from there.
-            slack: as of `towards`.
+            slack: as of `towards`, or (N,) of each row.
         """
         refused = self._note(pose)
         action = self._best(pose, goal, refused, slack)
@@ -69,7 +69,7 @@ class Steering:
         self._last = pose, action
         return action, reached
 
-    def _best(self, pose: Pose, goal: Pose, refused: Tensor, slack: float) -> Tensor:
+    def _best(self, pose: Pose, goal: Pose, refused: Tensor, slack: float | Tensor) -> Tensor:
         """Return the (N,) actions that leave least to do, of those that were not refused."""
         count, options = len(pose.position), len(ACTIONS)
         each = Pose(*(x.repeat_interleave(options, 0) for x in pose))

@@ -65,8 +65,16 @@ class ServoNetwork(nn.Module):
 
     def forward(self, images: Tensor) -> Said:
         """Look at (B, 1, SIDE, SIDE) images, black 0 and white 1."""
+        return self.say(self.features(images))
+
+    def features(self, images: Tensor) -> Tensor:
+        """Return (B, 320) of images, from which everything is said."""
         maps = self.body(images.contiguous(memory_format=torch.channels_last))
-        said = self.head(maps).view(len(images), self.views, SAID)
+        return self.head[:-1](maps)
+
+    def say(self, features: Tensor) -> Said:
+        """Return what is said of (B, 320) features."""
+        said = self.head[-1](features).view(len(features), self.views, SAID)
         return Said(said[..., :6], said[..., 6:12].clamp(*SURENESS), *said[..., 12:].unbind(-1))
 
     def read(self, images: Tensor) -> Reading:

@@ -64,15 +64,32 @@ class ServoAgent:
         pose, labels = self._steering.pose(observation), self._labels(observation)
         same = self._steering.goes_on()
         read, worth = self.read(observation, pose)
-        mind = self._mind or Mind.new(read)
+        mind = self._mind or self.begun(read)
         mind.learn(read, pose, worth, labels, same)
         mind.search(labels)
-        centre = mind.centre(labels)
-        goal, then = (mind.goal(centre, further, self._offsets, self._task) for further in (0, 1))
-        action, reached = self._steering.by_way_of(pose, goal, then, SLACK)
-        mind.step(reached)
+        goal, then = self.goals(mind, pose, labels)
+        action, reached = self._steering.by_way_of(pose, goal, then, self.slack())
+        self.stepped(mind, reached)
         self._mind = mind
         return action
+
+    def begun(self, read: Belief) -> Mind:
+        """Begin episodes with a first belief."""
+        return Mind.new(read)
+
+    def stepped(self, mind: Mind, reached: Tensor) -> None:
+        """Take note of a step; (N,) bool rows have come to where they were going."""
+        mind.step(reached)
+
+    def slack(self) -> float | Tensor:
+        """Return what a step after an idle one has to save, of all rows or (N,) of each."""
+        return SLACK
+
+    def goals(self, mind: Mind, pose: Pose, labels: Tensor) -> tuple[Pose, Pose]:
+        """Return (N,) poses to go to from (N,) poses, and those to go to from there."""
+        centre = mind.centre(labels)
+        goal, then = (mind.goal(centre, further, self._offsets, self._task) for further in (0, 1))
+        return goal, then
 
     def read(self, observation: dict[str, Tensor], pose: Pose) -> tuple[Belief, Tensor]:
         """Return where the images say that the (N,) targets are, and how well they show them."""
@@ -133,9 +150,14 @@ class ServoAgent:
         """Read what `train` left; a policy of another agent is refused."""
         device, remedy = resolve_device(device), f"run `racines train agent {cls.name}`"
         content = read_described(Path(run_dir), f"no trained policy: {remedy}")
-        if content.get("agent") != cls.name:
-            raise RacinesError(f"{run_dir}: a policy of {content.get('agent')!r}, not {cls.name}")
-        config = fill(cls.Config, content["config"], f"{run_dir}/{SETTINGS}")
+        config = cls.described(content, run_dir)
         network = cls.built(config)
         load_network(Path(run_dir) / POLICY, network, remedy)
         return cls(config, network.to(device))
+
+    @classmethod
+    def described(cls, content: dict[str, Any], run_dir: Path | str) -> Any:
+        """Return the settings of a policy; one of another agent is refused."""
+        if content.get("agent") != cls.name:
+            raise RacinesError(f"{run_dir}: a policy of {content.get('agent')!r}, not {cls.name}")
+        return fill(cls.Config, content["config"], f"{run_dir}/{SETTINGS}")

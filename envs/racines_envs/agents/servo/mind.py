@@ -78,6 +78,8 @@ class Mind:
     steps: Tensor
     """(N,) int64 steps so far."""
     windows: Windows
+    choose: int = CHOOSE
+    further: int = FURTHER
 
     @classmethod
     def new(cls, belief: Belief) -> "Mind":
@@ -112,10 +114,10 @@ class Mind:
 
     def search(self, labels: Tensor) -> None:
         """Let rows that have looked all about a window go on to the next, at last to the best."""
-        windows, late = self.windows, self.steps >= CHOOSE
+        windows, late = self.windows, self.steps >= self.choose
         rows = ((self.place > WAYPOINTS) | late) & ~windows.chosen
         windows.leave(rows, self.belief, self.seen, self.centre(labels), middles(labels))
-        enough = late | ((windows.number == 1) & (self.steps > FURTHER))
+        enough = late | ((windows.number == 1) & (self.steps > self.further))
         self.belief, self.seen = windows.enter(rows, self.belief, self.seen, enough)
         begun = torch.where(windows.chosen, WAYPOINTS + 1, 0)
         self.place = torch.where(rows, begun, self.place)
