@@ -22,6 +22,7 @@ TESTS = [
     "tests/models/generators/test_scene_field.py",
     "tests/models/exchange/test_onnx.py",
     "tests/envs/agents/test_agents.py",
+    "tests/envs/patients/test_memory.py",
 ]
 """Where tests marked `contract` are: those of published weights, and tiny networks."""
 LEVELS = {"DEFAULT": 0, "AVX2": 1, "AVX512": 2}

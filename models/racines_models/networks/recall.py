@@ -49,6 +49,8 @@ class Recalled(NamedTuple):
 class RecallNetwork(nn.Module):
     """Two layers of attention over the images of an episode; it owns its normalisation."""
 
+    eyes: Tensor
+
     def __init__(self, views: int, width: int = 96, layers: int = 2, heads: int = 6) -> None:
         """Build for so many views."""
         super().__init__()
@@ -57,9 +59,10 @@ class RecallNetwork(nn.Module):
         self.numbers = nn.Linear(TOKEN - FEATURES + 6 + 1 + views, width)
         self.layers = nn.ModuleList(_Layer(width, heads) for _ in range(layers))
         self.norm = nn.LayerNorm(width)
-        self.where = nn.Sequential(nn.Linear(width + 12, width), nn.GELU(), nn.Linear(width, 12))
-        nn.init.zeros_(self.where[-1].weight)
-        nn.init.zeros_(self.where[-1].bias)
+        last = nn.Linear(width, 12)
+        nn.init.zeros_(last.weight)
+        nn.init.zeros_(last.bias)
+        self.where = nn.Sequential(nn.Linear(width + 12, width), nn.GELU(), last)
         self.ask = nn.Sequential(
             nn.Linear(2 * width + 18 + views, 2 * width), nn.GELU(), nn.Linear(2 * width, width)
         )

@@ -44,6 +44,7 @@ class ServoMemoryAgent(ServoAgent):
     ) -> None:
         """Take a servo's network, and what looks back; without it the agent searches and notes."""
         super().__init__(config, network)
+        self._eyes = network
         self.recall = None if recall is None else recall.eval()
 
     def attach(self, core: ScanCore) -> None:
@@ -65,8 +66,8 @@ class ServoMemoryAgent(ServoAgent):
 
         def look(part: Tensor) -> Tensor:
             small = shrink(part.to(self._device)).unsqueeze(1).float() / 255.0
-            features = self.network.features(small)
-            ways, sureness, *shown = self.network.say(features)
+            features = self._eyes.features(small)
+            ways, sureness, *shown = self._eyes.say(features)
             said = torch.cat([ways, sureness, torch.stack(shown, -1)], -1)
             return torch.cat([said.flatten(1), features], 1)
 
@@ -137,7 +138,7 @@ class ServoMemoryAgent(ServoAgent):
 
     @classmethod
     def train(
-        cls, config: MemoryConfig, run_dir: Path, *, seed: int = 0, resume: bool | None = None,
+        cls, config: Any, run_dir: Path, *, seed: int = 0, resume: bool | None = None,
         progress: bool = True, **where: Any,
     ) -> Self:  # fmt: skip
         """Learn to look back, from episodes on train patients; arguments as of `LearningAgent`."""

@@ -90,8 +90,9 @@ def act_on(agent: "ServoMemoryAgent", patient: int, config: EpisodeConfig, seed:
     labels = core.state.goal
     target = lies(core.target, labels)
     length = int(seen.any(0).sum())
-    tokens = torch.where(seen.unsqueeze(-1), agent.notes.tokens.cpu(), 0.0)
-    return Episodes(tokens[:, :length], seen[:, :length], truths[:, :length], labels, target)
+    seen, truths = seen[:, :length], truths[:, :length]
+    tokens = torch.where(seen.unsqueeze(-1), agent.notes.tokens[:, :length].cpu(), 0.0)
+    return Episodes(tokens, seen, truths, labels, target)
 
 
 def kept(path: Path, make: Callable[[], Episodes]) -> Episodes:

@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 from racines_data.errors import RacinesError
 from racines_envs.agents.servo.agent import POLICY, ServoAgent
-from racines_envs.evaluation.agent_specs import trained_folder
+from racines_envs.evaluation.agent_specs import RUNS, trained_folder
 from racines_envs.evaluation.trainings import Training, find_trainings
 from racines_models.networks.servo import ServoNetwork
 from racines_models.published.places import POLICIES, published
@@ -30,7 +30,8 @@ def eyes_of(members: str, seed: int, device: str) -> Eyes:
     Raises:
         RacinesError: a run without that training, or of another agent.
     """
-    folder = Path(members) if Path(members).is_dir() else trained_folder(members)
+    folder = published(Path(members))
+    folder = folder if folder.is_dir() else trained_folder(members)
     trainings = find_trainings(folder)
     found = [each for each in trainings if each.seed == seed]
     if not found:
@@ -51,9 +52,9 @@ def eyes_like(sha256: str, members: str, run_dir: Path | str, device: str) -> Ey
     Raises:
         RacinesError: it is in none of them.
     """
-    beside = Path(run_dir) / "eyes"
-    named = Path(members) if Path(members).is_dir() else trained_folder(members)
-    for folder in (beside, named, published(POLICIES / members)):
+    beside, named = Path(run_dir) / "eyes", Path(members)
+    known = RUNS / members, published(POLICIES / named.name)
+    for folder in (beside, named, *known):
         if not (folder / "config.json").is_file():
             continue
         for each in find_trainings(folder):
@@ -61,10 +62,12 @@ def eyes_like(sha256: str, members: str, run_dir: Path | str, device: str) -> Ey
                 return _open(each, device)
     raise RacinesError(
         f"{run_dir}: sees through a servo whose weights have the sha256 {sha256[:16]}…, which is "
-        f"neither in {beside} nor in {named}: put its run there, or train the memory anew with "
+        f"neither in {beside} nor in {members}: put its run there, or train the memory anew with "
         "`racines train agent servo-memory`"
     )
 
 
 def _open(training: Training, device: str) -> Eyes:
-    return Eyes(ServoAgent.load(training.folder, device).network, training.files[POLICY])
+    network = ServoAgent.load(training.folder, device).network
+    assert isinstance(network, ServoNetwork)
+    return Eyes(network, training.files[POLICY])

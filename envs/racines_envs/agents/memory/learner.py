@@ -3,7 +3,7 @@
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import torch
 from torch import Tensor, nn
@@ -186,14 +186,14 @@ class MemoryLearner(Course):
         left_out = uniform(seeds, 1, 2) * THINNED
         seen = there & (uniform(seeds, length, 3) >= left_out)
         seen[:, 0] = True
-        recalled = nets["network"](tokens, seen, labels)
+        network = nets["network"]
+        recalled = network(tokens, seen, labels)
         missed = (recalled.centre.float() - target.unsqueeze(1)).abs()
         sureness, weight = recalled.sureness.float(), seen.unsqueeze(-1).float()
         loss = (missed / sureness.exp() + sureness) * weight
         led = loss.sum() / (weight.sum() * len(LIES))
         which, by = _asked(seeds, there, truths[..., 0])
-        network = nets["network"]
-        scorer = getattr(network, "module", network)
+        scorer = cast(RecallNetwork, getattr(network, "module", network))
         said = scorer.score(tokens, seen, labels, recalled, which, by).float()
         row = torch.arange(len(labels), device=labels.device).unsqueeze(1)
         hits = batch.episodes.hits.float().unsqueeze(-1)
