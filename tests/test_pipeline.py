@@ -290,7 +290,7 @@ def test_runs_of_every_profile_are_ignored_by_git():
     others = {name for content in contents for name in content["patient_agents"]}
     paths = [f"envs/runs/{name}" for name in sorted(names)]
     paths += [f"envs/runs/scores/{name}.png" for name in sorted(names)] + ["models/runs/encoder"]
-    paths += [f"envs/runs/{name}" for name in [*sorted(others), "servo-frames"]]
+    paths += [f"envs/runs/{name}" for name in [*sorted(others), "servo-frames", "memory-episodes"]]
     done = subprocess.run(["git", "check-ignore", *paths], cwd=ROOT, capture_output=True, text=True)
     assert done.stdout.split() == paths
 

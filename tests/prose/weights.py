@@ -34,6 +34,7 @@ GROUPS = {
     "models/weights/phantom-default/scene-field": "generator, default profile, three trainings",
     "models/weights/phantom-default/vae-gan": "generator, default profile, three trainings",
     "envs/weights/servo": "agent on patients, three trainings, one network for all views",
+    "envs/weights/servo-memory": "agent on patients that sees through the servo, three trainings",
     "envs/weights/constant-pose": "floor on patients: a pose for each view",
     "envs/weights/blind-tour": "floor on patients: poses for each view",
     "envs/weights/phantom-default/*": "policies, default profile, three trainings each",

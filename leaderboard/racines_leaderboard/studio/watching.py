@@ -28,7 +28,7 @@ from racines_leaderboard.studio.worlds import FIRST_PATIENT, FIXED, Start
 
 UNTRAINED = ("planner", "random", "hill-climber")
 """Agents that need no files of their own."""
-ON_PATIENTS = ("servo", "constant-pose", "blind-tour")
+ON_PATIENTS = ("servo", "servo-memory", "constant-pose", "blind-tour")
 """Agents that scan patients alone, in any view."""
 ANYWHERE = ("planner", "random")
 POLICY = "policy.safetensors"

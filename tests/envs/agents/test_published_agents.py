@@ -15,7 +15,7 @@ from racines_envs.worlds.ward import make_ward
 
 WEIGHTS = Path("envs/weights")
 FOLDERS = sorted(path.parent for path in WEIGHTS.glob("*/config.json"))
-ON_PATIENTS = {"servo"}
+ON_PATIENTS = {"servo", "servo-memory"}
 """Agents that know patients, and not the one heart."""
 FLOORS = {"constant-pose", "blind-tour"}
 """Agents that know patients and never look: what they find is little."""

@@ -17,7 +17,7 @@ from racines_data.views import VIEWS
 
 RESULT = Path(__file__).parents[3] / "docs/results/patient-tasks.json"
 BOARDS = RESULT.parents[2] / "leaderboard/results"
-AGENTS = ("constant-pose", "blind-tour", "ppo", "servo", "planner")
+AGENTS = ("constant-pose", "blind-tour", "ppo", "servo", "servo-memory", "planner")
 TIERS = {"patients": "still", "beating": "beating"}
 SPLITS = ("validation", "test")
 Found = dict[tuple[str, ...], dict[str, Any]]
@@ -144,7 +144,8 @@ def fill(found: Found) -> None:
                 "success_declared"]["value"], 1)
             for tier, told in TIERS.items()
         }
-        for agent in ("servo", "planner")
+        for agent in ("servo", "servo-memory", "planner")
+        if (agent, "A4C", "beating", "test") in found
     }  # fmt: skip
     told = found["servo", "A4C", "patients", "test"]["metrics"]["success_declared"]["settings"]
     figures = {
