@@ -119,7 +119,10 @@ def _differs(first: Path, other: Training) -> str:
 
 def _made_of(folder: Path) -> dict[str, Any]:
     """Return what a training rests on besides its seed."""
-    described, learned = read_json(folder / SETTINGS), read_json(folder / "metrics.json")
+    described, metrics = read_json(folder / SETTINGS), folder / "metrics.json"
+    # A copy that `racines export weights` made has the run's metrics in its settings.
+    copied = "training" in described and not metrics.is_file()
+    learned = described["training"] if copied else read_json(metrics)
     # A setting that a training does not tell had yet to be thought of: it is as by default.
     settings = _defaults(described.get("agent")) | described.get("config", {})
     settings = {k: v for k, v in settings.items() if k not in ASIDE}

@@ -27,6 +27,7 @@ from racines_leaderboard.records.schema import read_json
 from racines_models.protocol import Run
 from racines_models.statistics import Evidence
 from racines_models.training.sets import train_seeds
+from racines_models.weights import publish as publish_weights
 from tests.envs.fakes import FakePhantom
 from tests.leaderboard.graphs import sound_policy
 
@@ -144,6 +145,18 @@ def test_what_is_no_training_of_the_same_method_does_not_count(
     assert reason in capsys.readouterr().err
     change(place / "seed-5/config.json", frames=128, agent="ppo", seed=5, device="cuda")
     assert len(find_trainings(run, place)) == 3, "a device makes no other method"
+
+
+def test_a_copy_in_half_precision_is_a_run_of_its_own(run, tmp_path):
+    copy = tmp_path / "copy"
+    publish_weights(run, copy)
+    assert not list(copy.rglob("metrics.json"))
+    assert [each.seed for each in find_trainings(copy)] == [4, 5, 6]
+    told = json.loads((copy / "seed-5/config.json").read_text())
+    told["training"]["phantom"] = {"version": "9"}
+    (copy / "seed-5/config.json").write_text(json.dumps(told))
+    with pytest.raises(RacinesError, match="another phantom"):
+        find_trainings(copy)
 
 
 def test_a_setting_that_was_yet_to_come_is_as_by_default(run):
