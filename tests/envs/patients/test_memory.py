@@ -222,6 +222,11 @@ def test_training_saves_what_it_loads_and_each_sees_through_the_servo_of_its_see
         own = ServoAgent.load(Path(tiny.members) / (f"seed-{seed}" if seed else ""))
         images = torch.randint(0, 256, (2, 128, 128), dtype=torch.uint8)
         assert torch.equal(own.readings(images).ways, loaded.readings(images).ways)
+        told = json.loads((folder / "metrics.json").read_text())
+        counted = [each["training"]["episodes"] for each in (told, *told["rounds"])]
+        assert counted == [64, 32] and "images" not in told["training"]
+        steps = 12 * tiny.acts.episodes
+        assert told["frames"] == (tiny.patients + tiny.round_patients) * steps
         kept = {each.name for each in folder.rglob("*") if each.is_dir()}
         assert not kept & {"done", "checkpoint"}, "nothing of the work is left"
 

@@ -147,8 +147,8 @@ class ServoMemoryAgent(ServoAgent):
         run = Run(Path(run_dir), seed, config.device, resume, progress)
         with seeded(seed, config.threads):
             network, rounds = learn(config, run, cls, eyes)
-        metrics = {"training": rounds[0]["training"], "history": rounds[0]["history"]}
-        metrics |= {"rounds": rounds[1:], "views": list(VIEWS)}
+        metrics = rounds[0] | {"rounds": rounds[1:], "views": list(VIEWS)}
+        metrics |= {"frames": rounds[-1]["frames"]}
         save_weights(run.folder / POLICY, network.state_dict())
         write_json(
             run.folder / SETTINGS, {"agent": cls.name, "config": asdict(config), "seed": seed}

@@ -142,6 +142,11 @@ class MemoryLearner(Course):
             checkpoint_every=4_000,
         )  # fmt: skip
 
+    @property
+    def frames(self) -> int:
+        """Return the steps of all train patients' episodes."""
+        return int(self._own.seen.sum())
+
     def modules(self) -> dict[str, nn.Module]:
         """Return the network."""
         return {"network": self.network}

@@ -73,6 +73,11 @@ def learn(
     return learner.network, rounds
 
 
+def of_episodes(figures: dict[str, Any]) -> dict[str, Any]:
+    """Return a training's figures, whose examples are episodes, by the name of what they count."""
+    return {name.replace("images", "episodes"): each for name, each in figures.items()}
+
+
 def discard(run: Run, rounds: int) -> None:
     """Remove what only a run under way needs."""
     for turn in range(rounds + 1):
@@ -90,8 +95,8 @@ def _round(learner: MemoryLearner, run: Run) -> dict[str, Any]:
     if (done / "round.json").is_file():
         load_network(done / "network.safetensors", learner.network, "train it anew")
         return json.loads((done / "round.json").read_text(encoding="utf-8"))
-    figures = train(learner, None, learner.training, run, learner)
-    told = {"training": figures, "history": learner.history}
+    told = {"training": of_episodes(train(learner, None, learner.training, run, learner))}
+    told |= {"history": learner.history, "frames": learner.frames}
     done.mkdir(parents=True, exist_ok=True)
     save_weights(done / "network.safetensors", learner.network.state_dict())
     write_json(done / "round.json", told)
