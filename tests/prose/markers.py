@@ -49,6 +49,7 @@ PLACES = {
     "beating": RECORDS.format(board="beating", track="patient-agents", name="{name}"),
     "weights": "models/weights/{name}/config.json",
     "policies": "envs/weights/{name}/metrics.json",
+    "agent-runs": "envs/weights/{name}/config.json",
     "runs": "models/runs/{name}.json",
     "mutants": "tests/mutants/{name}.yaml",
 }
