@@ -78,8 +78,10 @@ class Mind:
     steps: Tensor
     """(N,) int64 steps so far."""
     windows: Windows
-    choose: int = CHOOSE
-    further: int = FURTHER
+    choose: int
+    """Steps after which a row goes to the best of the spaces that it has seen."""
+    further: int
+    """Steps after which the space on the other side is not worth the way."""
 
     @classmethod
     def new(cls, belief: Belief) -> "Mind":
@@ -87,7 +89,8 @@ class Mind:
         count, device = len(belief.placed), belief.placed.device
         none = torch.zeros(count, dtype=torch.int64, device=device)
         seen = torch.zeros(count, 8, device=device)
-        return cls(belief, seen, none, none.clone(), Windows.new(belief, seen))
+        windows = Windows.new(belief, seen)
+        return cls(belief, seen, none, none.clone(), windows, CHOOSE, FURTHER)
 
     def learn(self, read: Belief, pose: Pose, worth: Tensor, labels: Tensor, same: Tensor) -> None:
         """Take in what (N,) images show; rows that are not the same episodes begin anew.
