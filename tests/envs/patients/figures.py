@@ -115,7 +115,7 @@ def by_pathology(found: Found, agent: str, split: str) -> dict[str, Any]:
 
 
 def gains(one: str, other: str) -> dict[str, Any]:
-    """Return the table of what an agent finds more often than another, points, paired by patient."""
+    """Return the table of what one finds more often than another, points, paired by patient."""
     rows = []
     for tier, told in TIERS.items():
         cells = []
