@@ -14,6 +14,8 @@ from typing import Any
 from racines_data.files import write_json
 from racines_data.patients.patient import PATHOLOGIES
 from racines_data.views import VIEWS
+from racines_models.statistics import Evidence
+from racines_models.statistics.intervals import difference
 
 RESULT = Path(__file__).parents[3] / "docs/results/patient-tasks.json"
 BOARDS = RESULT.parents[2] / "leaderboard/results"
@@ -112,6 +114,22 @@ def by_pathology(found: Found, agent: str, split: str) -> dict[str, Any]:
     return {"columns": ["pathology", "patients", *TIERS.values()], "rows": rows}
 
 
+def gains(one: str, other: str) -> dict[str, Any]:
+    """Return the table of what one finds more often than another, points, paired by patient."""
+    rows = []
+    for tier, told in TIERS.items():
+        cells = []
+        for view in VIEWS:
+            paths = (BOARDS / tier / "patient-agents" / f"{each}-{view.lower()}.parquet"
+                     for each in (one, other))  # fmt: skip
+            both = [Evidence.read(path).figures["success_declared"] for path in paths]
+            gain = difference(*(figures.replicates() for figures in both))
+            assert gain.low is not None and gain.high is not None
+            cells.append(f"{100 * gain.value:+.0f} ({100 * gain.low:.0f} to {100 * gain.high:.0f})")
+        rows.append([told, *cells])
+    return {"columns": ["hearts", *VIEWS], "rows": rows}
+
+
 def floors(found: Found, split: str) -> dict[str, float]:
     """Return the highest share of each floor over views and tiers, per cent."""
     shares = {
@@ -138,6 +156,7 @@ def fill(found: Found) -> None:
     for name, table in tables.items():
         table["rows"] = with_former(table["rows"], content["tables"][name]["rows"])
     tables |= {"pathology": by_pathology(found, "servo", "test")}
+    tables |= {"gains": gains("servo-memory", "servo")}
     shown = {
         agent: {
             told: round(100 * found[agent, "A4C", tier, "test"]["metrics"][
