@@ -312,6 +312,13 @@ def test_a_row_does_not_depend_on_its_batch(still, servo: Path):
     assert len(alone) > 30 and len(ABOUT) + CHOICES == 5
 
 
+def test_an_empty_folder_of_its_name_is_no_servo(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """The published servo is found all the same."""
+    (tmp_path / "servo").mkdir()
+    monkeypatch.chdir(tmp_path)
+    assert len(eyes_of("servo", 1, "cpu").sha256) == 64
+
+
 def test_what_does_not_fit_is_refused(tiny: MemoryConfig, servo: Path, tmp_path: Path):
     with pytest.raises(RacinesError, match=r"no training of seed 2 \(seeds 0, 1\)"):
         ServoMemoryAgent.train(tiny, tmp_path / "out", seed=2, progress=False)

@@ -7,7 +7,7 @@ No-Regret Online Learning (2011): first of a servo that only searches, then of t
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple, Protocol
 
 import torch
 from safetensors.torch import save_file
@@ -17,14 +17,12 @@ from racines_data.errors import RacinesError
 from racines_data.files import read_tensors, write_once
 from racines_data.patients.pool import Pool
 from racines_data.randomness import derive
-from racines_envs.agents.memory.notes import LONGEST, lies
+from racines_envs.agents.memory.notes import LONGEST, Notes, lies
+from racines_envs.agents.protocol import Agent
 from racines_envs.agents.servo.frames import places_of
 from racines_envs.task.names import ANY_VIEW, BEATING, PATIENTS, task_name
 from racines_envs.worlds.making import make_core
 from racines_envs.worlds.ward import Ward
-
-if TYPE_CHECKING:
-    from racines_envs.agents.memory.agent import ServoMemoryAgent
 
 STREAM = 359
 
@@ -41,6 +39,12 @@ class EpisodeConfig:
     def __post_init__(self) -> None:
         if min(self.episodes, self.places) < 1:
             raise RacinesError("agents.servo-memory.acts: episodes and places are 1 or more")
+
+
+class Noting(Agent, Protocol):
+    """An agent that notes what it sees."""
+
+    notes: Notes
 
 
 class Episodes(NamedTuple):
@@ -68,7 +72,7 @@ HIT = 0.9, 0.5
 
 
 @torch.no_grad()
-def act_on(agent: "ServoMemoryAgent", patient: int, config: EpisodeConfig, seed: int) -> Episodes:
+def act_on(agent: Noting, patient: int, config: EpisodeConfig, seed: int) -> Episodes:
     """Let an agent act on a patient, still or beating by the patient's seed."""
     ward = Ward(Pool(places_of(patient, config.places), beating=patient % 2 == 1))
     pool, count = ward.pool, config.episodes

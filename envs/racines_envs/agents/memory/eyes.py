@@ -4,6 +4,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from racines_data.errors import RacinesError
+from racines_envs.agents.protocol import SETTINGS
 from racines_envs.agents.servo.agent import POLICY, ServoAgent
 from racines_envs.evaluation.agent_specs import RUNS, trained_folder
 from racines_envs.evaluation.trainings import Training, find_trainings
@@ -31,7 +32,8 @@ def eyes_of(members: str, seed: int, device: str) -> Eyes:
         RacinesError: a run without that training, or of another agent.
     """
     folder = published(Path(members))
-    folder = folder if folder.is_dir() else trained_folder(members)
+    # A folder of that name that holds no run, in the current one, stands in nobody's way.
+    folder = folder if (folder / SETTINGS).is_file() else trained_folder(members)
     trainings = find_trainings(folder)
     found = [each for each in trainings if each.seed == seed]
     if not found:
@@ -55,7 +57,7 @@ def eyes_like(sha256: str, members: str, run_dir: Path | str, device: str) -> Ey
     beside, named = Path(run_dir) / "eyes", Path(members)
     known = RUNS / members, published(POLICIES / named.name)
     for folder in (beside, named, *known):
-        if not (folder / "config.json").is_file():
+        if not (folder / SETTINGS).is_file():
             continue
         for each in find_trainings(folder):
             if each.files.get(POLICY) == sha256:

@@ -10,14 +10,14 @@ from collections.abc import Callable, Sequence
 from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from racines_data.digest import recipe_digest
 from racines_data.files import write_json
 from racines_data.patients.patient import PATIENTS_VERSION
 from racines_data.patients.splits import seeds_of
 from racines_data.progress import progress_bar
-from racines_envs.agents.memory.episodes import Episodes, act_on, joined, kept
+from racines_envs.agents.memory.episodes import Episodes, Noting, act_on, joined, kept
 from racines_envs.agents.memory.eyes import Eyes
 from racines_envs.agents.memory.learner import MemoryConfig, MemoryLearner
 from racines_models.networks.recall import RecallNetwork
@@ -26,12 +26,9 @@ from racines_models.training.checkpoint import discard_checkpoint
 from racines_models.training.trainer import train
 from racines_models.weights import load_network, save_weights
 
-if TYPE_CHECKING:
-    from racines_envs.agents.memory.agent import ServoMemoryAgent
-
 DONE = "done"
 """Folder of a round: its weights once it has ended."""
-Make = Callable[[Any, Any, RecallNetwork | None], "ServoMemoryAgent"]
+Make = Callable[[Any, Any, RecallNetwork | None], Noting]
 
 
 def learn(
@@ -56,7 +53,7 @@ def learn(
                 bar.advance(task)
         return joined(parts)
 
-    def one_of(agent: "ServoMemoryAgent", patient: int) -> Episodes:
+    def one_of(agent: Noting, patient: int) -> Episodes:
         return act_on(agent, patient, config.acts, run.seed)
 
     held = acted(seeds_of("validation")[: config.validation_patients], None, "servo")
