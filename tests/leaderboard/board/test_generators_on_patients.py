@@ -55,9 +55,12 @@ NAMES = ("mean-image", "noise-ceiling", "nearest-pose", "scout-attention")
 
 
 @pytest.fixture(scope="module")
-def made(tmp_path_factory) -> Path:
+def made(made_once) -> Path:
     """A workplace with a board of patients that holds anchors, retrieval, and one that learned."""
-    folder = tmp_path_factory.mktemp("adapting-board")
+    return made_once("adapting-board", make_board)
+
+
+def make_board(folder: Path) -> None:
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
         coarse(patch)
@@ -68,7 +71,6 @@ def made(tmp_path_factory) -> Path:
             racines("eval", "generator", name, "--tier", "patients", "--json")
         racines("leaderboard", "--board", "patients", "--collect", str(SCORES))
         racines("board", "pin", "patients")
-    return folder
 
 
 def coarse(patch: pytest.MonkeyPatch) -> None:
@@ -317,7 +319,8 @@ def handed_in(paths: list[Path], **changes) -> Path:
     return folder
 
 
-def test_images_handed_in_are_scored_again_and_ranked(board):
+@pytest.mark.thorough
+def test_trainings_handed_in_are_ranked(board):
     drawers = NAMES[1:]
     folder = handed_in([exported("predictions", name) for name in drawers])
     said = racines("submit", str(folder), "--recompute", "--params", "params.yaml")
@@ -332,6 +335,18 @@ def test_images_handed_in_are_scored_again_and_ranked(board):
     (mine,) = (each for each in rankings(PATIENT_GENERATORS, records)
                if each.record["name"] == "mine")  # fmt: skip
     assert mine.place == 1, "three trainings, and no bound"
+
+
+def test_images_handed_in_are_scored_again_and_audited(board):
+    folder = handed_in([exported("predictions", "nearest-pose")])
+    racines("submit", str(folder), "--recompute", "--params", "params.yaml")
+    record = json.loads((RESULTS / "patients/patient-generators/mine.json").read_text())
+    alone = read_scores(SCORES / "nearest-pose.json")[0]["metrics"]
+    assert record["tier"] == "recomputed" and record["scores"]["runs"] == 1
+    for key in ("ssim", "psnr", "kid", "dice", "pose_error_mm"):
+        assert record["scores"]["metrics"][key] == alone[key]
+    (report,) = json.loads(racines("audit", "mine", "--board", "patients", "--json"))["reports"]
+    assert report["verdict"] == "holds", report
     again = ("leaderboard", "--recompute", "mine", "--params", "params.yaml", "--board", "mini")
     done = CliRunner().invoke(app, list(again))
     assert "differs from 'patients'" in str(done.exception)
@@ -341,13 +356,6 @@ def test_images_handed_in_are_scored_again_and_ranked(board):
     place = Path("leaderboard/submissions/patient-generators/mine")
     with pytest.raises(RacinesError, match="is drawn in secret: images are no program"):
         draw_in_secret(place, ground, RESULTS, secret, "2026-11-26")
-
-
-def test_images_handed_in_are_audited(board):
-    folder = handed_in([exported("predictions", "nearest-pose")])
-    racines("submit", str(folder), "--recompute", "--params", "params.yaml")
-    (report,) = json.loads(racines("audit", "mine", "--board", "patients", "--json"))["reports"]
-    assert report["verdict"] == "holds", report
 
 
 def test_images_of_others_are_refused(board):
