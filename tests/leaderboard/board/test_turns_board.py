@@ -32,10 +32,10 @@ SETTINGS = {
     "seed": 0,
     "generators": {
         "vae-gan": {
-            "width": 4,
-            "encoder_width": 2,
-            "discriminator_width": 2,
-            "training": {"images": 160, "batch_size": 8, "ema": 0.0, "repeats": 3},
+            "width": 8,
+            "encoder_width": 4,
+            "discriminator_width": 4,
+            "training": {"images": 320, "batch_size": 8, "ema": 0.0, "repeats": 3},
         }
     },
     "scores": {"speed": False},
