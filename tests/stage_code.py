@@ -88,13 +88,21 @@ def dependencies(code: set[str]) -> list[str]:
     return [str(path.relative_to(ROOT)) for path in sorted(shown)]
 
 
+@cache
+def stage_places() -> dict[str, list[Path]]:
+    """Return the folders and files of the code of each stage."""
+    return {
+        stage: [ROOT / each for each in dependencies(code)] for stage, code in stage_code().items()
+    }
+
+
 def stages_that_use(module: str) -> set[str]:
     """Return the stages that depend on a module's room, or on the module where it stands alone."""
     path = modules()[module]
     return {
         stage
-        for stage, code in stage_code().items()
-        if any(path.is_relative_to(ROOT / each) for each in dependencies(code))
+        for stage, places in stage_places().items()
+        if any(path.is_relative_to(each) for each in places)
     }
 
 

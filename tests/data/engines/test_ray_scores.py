@@ -99,6 +99,7 @@ def test_a_generators_numbers_are_equal(
     assert {"fid", "fid_grader", "pose_error_mm"} <= set(here["metrics"])
 
 
+@pytest.mark.thorough
 def test_a_generators_numbers_on_patients_are_equal(engine: RayEngine):
     _, pose = judges()
     config = SegmentationConfig(channels=2, input_size=64, patch=2)
@@ -161,6 +162,7 @@ def test_trainings_are_equal(engine: RayEngine, tmp_path: Path):
     assert list(seeds) == ["3", "4"]
 
 
+@pytest.mark.thorough
 def test_experience_is_equal(engine: RayEngine, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     turns: list[int] = []
     given = engine.map

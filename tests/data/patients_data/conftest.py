@@ -7,6 +7,7 @@ import pytest
 from racines_data.build.dataset import DataConfig, build
 from racines_data.sources.patients import BeatingSource, PatientsSource
 from tests import warm
+from tests.conftest import Once
 from tests.data.fake_source import FakeConfig, FakeSource
 
 SETTINGS = {"train": 1, "validation": 1, "test": [20_000], "frames_per_sweep": 4}
@@ -20,12 +21,13 @@ def own_hearts(own_caches: None, hearts: Path, monkeypatch: pytest.MonkeyPatch) 
 
 
 @pytest.fixture(scope="session")
-def root(tmp_path_factory: pytest.TempPathFactory, hearts: Path) -> Path:
-    folder = tmp_path_factory.mktemp("patients") / "racines"
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("XDG_CACHE_HOME", str(hearts))
-        warm.plain_pictures(patch.setattr)
-        build(FakeSource(FakeConfig()), folder, ONE)
-        for kind in (BeatingSource, PatientsSource):  # the order does not matter
-            build(kind.from_config(SETTINGS), folder, ONE)
-    return folder
+def root(made_once: Once, hearts: Path) -> Path:
+    def make(folder: Path) -> None:
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setenv("XDG_CACHE_HOME", str(hearts))
+            warm.plain_pictures(patch.setattr)
+            build(FakeSource(FakeConfig()), folder / "racines", ONE)
+            for kind in (BeatingSource, PatientsSource):  # the order does not matter
+                build(kind.from_config(SETTINGS), folder / "racines", ONE)
+
+    return made_once("patients", make) / "racines"

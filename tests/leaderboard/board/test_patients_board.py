@@ -47,9 +47,12 @@ ROW = RESULTS / "patients/patient-agents/planner-a4c.json"
 
 
 @pytest.fixture(scope="module")
-def made(tmp_path_factory) -> Path:
+def made(made_once) -> Path:
     """A workplace with a board of patients that holds its two anchors."""
-    folder = tmp_path_factory.mktemp("patients-board")
+    return made_once("patients-board", make_board)
+
+
+def make_board(folder: Path) -> None:
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
         Path("params.yaml").write_text(yaml.safe_dump(SETTINGS), encoding="utf-8")
@@ -59,7 +62,6 @@ def made(tmp_path_factory) -> Path:
             racines("eval", "agent", agent, "--view", "A4C", "--tier", "patients")
         racines("leaderboard", "--board", "patients", "--collect", str(SCORES))
         racines("board", "pin", "patients")
-    return folder
 
 
 @pytest.fixture
@@ -230,6 +232,7 @@ def test_a_policy_of_the_one_heart_is_refused_before_it_is_taken_in(board):
         submitted(board, "policy", path, recipe["recipe_digest"])
 
 
+@pytest.mark.thorough
 def test_policies_on_patients_are_the_trainings_of_one_method(board):
     recipe, folder = patients_recipe("patients"), inbox(board, "in")
     paths = [sound_policy(folder / f"{k}.onnx", k, view="A4C-patients") for k in range(3)]

@@ -44,9 +44,12 @@ RESULTS, SCORES = Path("leaderboard/results"), Path("models/runs/scores")
 
 
 @pytest.fixture(scope="module")
-def made(tmp_path_factory) -> Path:
+def made(made_once) -> Path:
     """A workplace whose board has floors, the bound, and one that learned thrice."""
-    folder = tmp_path_factory.mktemp("turned-board")
+    return made_once("turned-board", make_board)
+
+
+def make_board(folder: Path) -> None:
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
         coarse(patch)
@@ -60,7 +63,6 @@ def made(tmp_path_factory) -> Path:
             racines("eval", "generator", name, "--data", "turns", *alone)
         racines("leaderboard", "--board", "turned", "--collect", str(SCORES))
         racines("board", "pin", "turned")
-    return folder
 
 
 def coarse(patch: pytest.MonkeyPatch) -> None:

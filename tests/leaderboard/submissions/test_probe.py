@@ -109,7 +109,10 @@ def test_a_policy_that_breaks_a_clause_is_refused_by_its_name(tmp_path, write, c
         acted(write(tmp_path / "m.onnx"))
 
 
-@pytest.mark.parametrize("name", ["ppo", "ppo-image", "behaviour-cloning", "dqn"])
+@pytest.mark.parametrize(
+    "name",
+    ["ppo", "behaviour-cloning", "dqn", pytest.param("ppo-image", marks=pytest.mark.thorough)],
+)
 def test_the_published_policies_keep_every_clause(name, tmp_path):
     path = ROOT / f"envs/weights/{name}.onnx"
     if not path.is_file():  # a large one is exported when it is wanted

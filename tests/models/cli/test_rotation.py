@@ -5,8 +5,10 @@ from pathlib import Path
 
 import pytest
 
-from tests.conftest import command
+from racines_models.scores import features, scoring
 from tests.data.sources.rotation_folder import PHASES, write_rotation
+from tests.leaderboard.called import racines
+from tests.models.scores.test_scores import Coarse
 
 PARAMS = """\
 generators:
@@ -23,14 +25,18 @@ scores: {samples: 30, speed: false}
 @pytest.mark.parametrize(
     "name", ["nearest-pose", pytest.param("scene-field", marks=pytest.mark.thorough)]
 )
-def test_import_train_and_score(tmp_path: Path, name: str):
+def test_import_train_and_score(tmp_path: Path, name: str, monkeypatch: pytest.MonkeyPatch):
+    """Block means stand in the place of Inception."""
+    for module in (features, scoring):
+        monkeypatch.setattr(module, "InceptionFeatures", Coarse)
+    monkeypatch.chdir(tmp_path)
     write_rotation(tmp_path / "heart", turns=36)
     (tmp_path / "params.yaml").write_text(PARAMS)
     words = "--source", "rotation", "--set", "split=gap", "--out", "rotation", "--workers", "1"
-    command(tmp_path, "racines", "data", "import", "heart", *words)
-    command(tmp_path, "racines", "train", "generator", name, "--data", "rotation")
+    racines("data", "import", "heart", *words)
+    racines("train", "generator", name, "--data", "rotation")
     alone = "--data", "rotation", "--no-grader", "--no-pose"
-    command(tmp_path, "racines", "eval", "generator", name, *alone)
+    racines("eval", "generator", name, *alone)
     scores = json.loads((tmp_path / "models/runs/scores" / f"{name}.json").read_text())
     figures, dataset = scores["metrics"], scores["dataset"]
     assert dataset["source"] == "rotation" and dataset["scale"] == "unknown" and dataset["phase"]

@@ -142,6 +142,10 @@ class TestCganOfABeat(Beats):
     exportable = True
     follows = False
 
+    @pytest.mark.thorough
+    def test_exported_file_draws_the_same(self, store, tmp_path):
+        super().test_exported_file_draws_the_same(store, tmp_path)
+
 
 class TestFlowOfABeat(Beats):
     generator_class = Flow
@@ -149,12 +153,20 @@ class TestFlowOfABeat(Beats):
     exportable = True
     follows = False
 
+    @pytest.mark.thorough
+    def test_exported_file_draws_the_same(self, store, tmp_path):
+        super().test_exported_file_draws_the_same(store, tmp_path)
+
 
 class TestSceneFieldOfABeat(Beats):
     generator_class = SceneField
     config = FIELD
     exportable = True
     follows = False
+
+    @pytest.mark.thorough
+    def test_exported_file_draws_the_same(self, store, tmp_path):
+        super().test_exported_file_draws_the_same(store, tmp_path)
 
 
 def test_a_field_without_waves_draws_a_still_scene(store, tmp_path):

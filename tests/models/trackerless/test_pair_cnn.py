@@ -50,7 +50,7 @@ def sweeps() -> SweepSet:
 @pytest.fixture(scope="module")
 def trained(tmp_path_factory) -> tuple[Path, SweepSet]:
     many = SweepSet(SweptStore({"train": 150, "validation": 8, "test": 12}))
-    learnt = replace(TINY, images=4_800, warmup_images=320, checkpoint_every=2_400)
+    learnt = replace(TINY, images=3_200, warmup_images=320, checkpoint_every=1_600)
     folder = tmp_path_factory.mktemp("pair-cnn")
     wide = config(widths=(8, 12, 16, 24), hidden=48, learning_rate=4e-3, training=learnt)
     PairCnn(wide).fit(many, Run(folder, 0, "cpu", progress=False))
