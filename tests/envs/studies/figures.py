@@ -3,7 +3,7 @@
 racines eval robustness servo --run envs/weights/servo --out ROBUSTNESS.json
 racines study ejection servo --run envs/weights/servo --split test --patients 140 \\
     --out EJECTION.json
-python -m tests.envs.studies.figures ROBUSTNESS.json EJECTION.json
+python -m tests.envs.studies.figures REPORT.json …    # either, of any agent
 """
 
 import json
@@ -16,7 +16,7 @@ from racines_envs.studies.robustness.disturbances import STRENGTHS
 from racines_envs.studies.robustness.run import NOTHING, RANKED, changes
 
 RESULTS = Path(__file__).parents[3] / "docs/results"
-MACHINE = "one core of an AMD EPYC (Zen 4)"
+MACHINE = "one core of an AMD EPYC"
 
 
 def points(change: dict[str, Any] | None) -> str:
@@ -29,15 +29,15 @@ def points(change: dict[str, Any] | None) -> str:
 
 def robustness(report: dict[str, Any]) -> dict[str, Any]:
     """Return the figures of a robustness study."""
-    base = report["conditions"][NOTHING]["metrics"][RANKED]
+    base, agent = report["conditions"][NOTHING]["metrics"][RANKED], report["agent"]
     rows = [[name, *map(points, found)] for name, found in changes(report)]
     worst = rows[1][0] if rows[0][0] == "all" else rows[0][0]
     units = base["settings"]["units"]
     return {
-        "what": f"what each disturbance costs the servo on still hearts of {units} validation "
+        "what": f"what each disturbance costs {agent} on still hearts of {units} validation "
         "patients: change of the share found and declared, percentage points",
-        "command": "racines eval robustness servo --run envs/weights/servo; python -m "
-        "tests.envs.studies.figures ROBUSTNESS.json EJECTION.json",
+        "command": f"racines eval robustness {agent} --run envs/weights/{agent}; python -m "
+        "tests.envs.studies.figures REPORT.json",
         "figures": {
             "base": round(100 * base["value"]), "patients": units,
             "minutes": round(report["seconds"] / 60), "worst": worst,
@@ -63,12 +63,12 @@ def ejection(report: dict[str, Any]) -> dict[str, Any]:
                      str(each["patients"]), str(left_out)])  # fmt: skip
     columns = ["pose, outlines", "bias, points", "limits of agreement", "correlation", "measured",
                "not measured"]  # fmt: skip
-    starts = report["task"]["start_set"]
+    starts, agent = report["task"]["start_set"], report["agent"]
     return {
-        "what": f"ejection fractions at A4C as the servo found it, {starts['patients']} "
+        "what": f"ejection fractions at A4C as {agent} found it, {starts['patients']} "
         f"{starts['split']} patients, against the truth",
-        "command": "racines study ejection servo --run envs/weights/servo --split test "
-        "--patients 140; python -m tests.envs.studies.figures ROBUSTNESS.json EJECTION.json",
+        "command": f"racines study ejection {agent} --run envs/weights/{agent} --split test "
+        "--patients 140; python -m tests.envs.studies.figures REPORT.json",
         "figures": {
             "patients": starts["patients"],
             "frames": report["frames"],
@@ -80,11 +80,9 @@ def ejection(report: dict[str, Any]) -> dict[str, Any]:
 
 
 if __name__ == "__main__":
-    for name, make, file in zip(
-        ("robustness", "ejection"), (robustness, ejection), sys.argv[1:3], strict=True
-    ):
+    for file in sys.argv[1:]:
+        report = json.loads(Path(file).read_text(encoding="utf-8"))
+        name, make = ("ejection", ejection) if "agreement" in report else ("robustness", robustness)
+        named = name if report["agent"] == "servo" else f"{name}-{report['agent']}"
         about = {"schema": "racines.figures/1", "machine": MACHINE, "source": "measured once"}
-        write_json(
-            RESULTS / f"{name}.json",
-            about | make(json.loads(Path(file).read_text(encoding="utf-8"))),
-        )
+        write_json(RESULTS / f"{named}.json", about | make(report))
