@@ -144,6 +144,7 @@ def test_make_hands_on_budget_device_and_parts():
         assert word in said.replace("\\\n", " ")
 
 
+@pytest.mark.thorough
 def test_a_command_that_fails_or_takes_too_long_says_so(tmp_path: Path):
     with pytest.raises(training.RacinesError, match=r"racines train agent no-such: exit 1: .*"):
         training.run(["train", "agent", "no-such"], tmp_path / "failed", 60)

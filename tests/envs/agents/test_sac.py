@@ -25,6 +25,7 @@ TINY = SACConfig(
 )  # fmt: skip
 
 
+@pytest.mark.thorough
 def test_it_learns_an_easy_view(tmp_path):
     """Some ten thousand steps are enough to beat chance where the view is wide."""
     phantom = FakePhantom(reach=2.0)

@@ -150,6 +150,7 @@ def test_a_lookup_that_hides_in_noise_is_flagged(quick, store, tmp_path):
     assert flag.startswith("sharp drop from public to secret (SSIM")
 
 
+@pytest.mark.thorough
 def test_a_lookup_among_honest_trainings_is_flagged(quick, store, tmp_path):
     folder = inbox(tmp_path, "in")
     paths = [sound_generator(folder / "a.onnx"), sound_generator(folder / "b.onnx", 0.03)]

@@ -119,6 +119,7 @@ def test_a_pattern_of_nothing_and_several_in_shared_processes_are_refused(here):
 
 
 @pytest.mark.slow
+@pytest.mark.thorough
 def test_two_processes_share_the_work(here):
     words = ("train", "generator", "vae-gan", "--processes", "2", "--device", "cpu", "--json")
     done = command(here, "racines", *words)

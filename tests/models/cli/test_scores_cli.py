@@ -134,6 +134,7 @@ def test_a_pose_regressor_is_used_where_there_is_one(here, monkeypatch):
     assert "train pose" in refused(*words, "--pose", "nowhere")
 
 
+@pytest.mark.thorough
 def test_truth_against_truth(here):
     words = ("study", "floor", "--n", "4", "--splits", "2")
     content = json.loads(invoke(*words, "--n", "6", "--json"))

@@ -152,6 +152,7 @@ def test_time_is_zero_for_the_asked_share(store, tmp_path):
 
 
 @pytest.mark.slow
+@pytest.mark.thorough
 def test_flow_learns_to_follow_the_pose(store, tmp_path):
     training = Training(images=2000, batch_size=8, precision="fp32", ema=0.9, schedule="cosine")
     config = FlowConfig(width=8, octaves=2, learning_rate=0.005, pure_noise=1.0, training=training)

@@ -175,6 +175,7 @@ def test_attention_starts_as_the_identity_and_then_looks_afar():
     assert ((layer(far) - layer(maps))[0, :, 0, 0].abs() > 0).any()
 
 
+@pytest.mark.thorough
 def test_reconstruction_weight_pulls_towards_the_frame(store, tmp_path):
     """Switched on, drawn images come nearer to the frames; off by default, as in the paper."""
     assert CganConfig().reconstruction_weight == 0.0

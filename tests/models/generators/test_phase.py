@@ -178,6 +178,7 @@ def test_a_field_without_waves_draws_a_still_scene(store, tmp_path):
     assert with_waves.tensors()["fine.codes"].shape[-1] == 3 * FIELD.channels
 
 
+@pytest.mark.thorough
 def test_a_field_learns_the_beat(store, tmp_path):
     loop = dataclasses.replace(FIELD.training, images=960)
     generator = SceneField(dataclasses.replace(FIELD, training=loop))

@@ -203,6 +203,7 @@ class RigidStore(FakeStore):
         return probe.image(gray).mul(255.0).round().to(torch.uint8)
 
 
+@pytest.mark.thorough
 def test_wrong_calibration_is_found_out(tmp_path):
     store = RigidStore()
     loop = dataclasses.replace(LOOP, images=800, batch_size=8, schedule="cosine")
