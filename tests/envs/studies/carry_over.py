@@ -74,13 +74,13 @@ def figures() -> dict[str, Any]:
             continue
         record = json.loads((BOARDS / f"phantom-reference/agents/{name}.json").read_text())
         own, cells = record["scores"]["metrics"]["success_true"], []
-        for tier, title in TIERS.items():
+        for tier in TIERS:
             told = json.loads(place(name, tier).read_text())
             cells += [percent(told["success_declared"]), percent(told["reached"])]
             seconds += told["seconds"]
             for key in ("success_declared", "reached"):
                 value = 100 * told[key]["value"]
-                whole[f"{title}_{key}"] = round(max(value, whole.get(f"{title}_{key}", 0.0)), 1)
+                whole[key] = round(max(value, whole.get(key, 0.0)), 1)
         sees = {"params": "pose", "multimodal": "both"}.get(told["sees"], told["sees"])
         rows.append([f"`{name}`", view, sees, str(told["trainings"]), percent(own), *cells])
     columns = ["agent", "view", "sees", "trainings", "its own heart, found"]
