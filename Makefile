@@ -58,7 +58,7 @@ test-docs: $(READY) ## run what the README and docs/ say, and the pages in a bro
 test-docs-quick: $(READY) ## run the README, and of docs/ all but the pages that take long; as .ci/run does
 	$(TESTS) -m "docs and not thorough" $(call marked,docs)
 
-test-thorough: $(READY) ## run the walk-throughs, long pages of docs/, runs that are killed at any moment, every variant of the rest; some ten minutes
+test-thorough: $(READY) ## run the walk-throughs, long pages of docs/, runs that are killed at any moment, every variant of the rest
 	$(TESTS) -m thorough
 
 test-instruction-sets: $(READY) ## run the contracts of rows, and draw canonical frames, on each instruction set that the CPU has

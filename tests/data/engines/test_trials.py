@@ -70,7 +70,6 @@ def fit(run: Run) -> dict[str, Any]:
     return {"resumed": begun.exists(), "seed": run.seed, "process": os.getpid()}
 
 
-@pytest.mark.thorough
 def test_a_set_goes_on_from_the_checkpoint_of_a_worker_that_died(
     engine: RayEngine, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ):

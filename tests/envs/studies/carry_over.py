@@ -68,7 +68,7 @@ def percent(told: dict[str, Any]) -> str:
 
 def figures() -> dict[str, Any]:
     """Return the table of what is kept: a row an agent, its own heart beside patients."""
-    rows, seconds, whole = [], 0.0, {}
+    rows, names, seconds, whole = [], [], 0.0, {}
     for name, view in AGENTS.items():
         if not all(place(name, tier).is_file() for tier in TIERS):
             continue
@@ -82,6 +82,7 @@ def figures() -> dict[str, Any]:
                 value = 100 * told[key]["value"]
                 whole[key] = round(max(value, whole.get(key, 0.0)), 1)
         sees = {"params": "pose", "multimodal": "both"}.get(told["sees"], told["sees"])
+        names.append(name)
         rows.append([f"`{name}`", view, sees, str(told["trainings"]), percent(own), *cells])
     columns = ["agent", "view", "sees", "trainings", "its own heart, found"]
     for title in TIERS.values():
@@ -91,7 +92,7 @@ def figures() -> dict[str, Any]:
         "what": "published policies of the one heart on test patients; shares: the highest of all",
         "machine": "one core of an AMD EPYC",
         "source": "measured once",
-        "command": "python -m tests.envs.studies.carry_over",
+        "command": f"python -m tests.envs.studies.carry_over {' '.join(names)}",
         "figures": {"minutes": round(seconds / 60), "patients": CONFIG.patients, **whole},
         "tables": {"agents": {"columns": columns, "rows": rows}},
     }

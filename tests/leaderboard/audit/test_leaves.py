@@ -198,12 +198,12 @@ def with_its_file(
 @pytest.mark.parametrize(
     ("name", "least", "one_in"),
     [
-        ("judged", 250, 18),
-        ("handed_in", 150, 18),
-        ("guided", 180, 18),
-        ("scanned", 600, 90),
-        ("learned", 500, 90),
-        ("painted", 250, 36),
+        ("judged", 250, 6),
+        ("handed_in", 150, 6),
+        ("guided", 180, 6),
+        ("scanned", 600, 30),
+        ("learned", 500, 30),
+        ("painted", 250, 12),
     ],
 )
 def test_every_leaf_is_caught_or_declared(name, least, one_in, every, request):
