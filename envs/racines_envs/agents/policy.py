@@ -126,6 +126,11 @@ class PolicyAgent:
         """Return what an ONNX file of it gives of the network's outputs: logits, as they are."""
         return outputs
 
+    @classmethod
+    def opened(cls, config: Any, run_dir: Path, sha256: str, device: Any) -> Any:
+        """Return what a saved policy looks through, of a hash; None if it learned to see."""
+        return open_encoder(getattr(config, "encoder", ""), device, run_dir, sha256)
+
     def save(self, run_dir: Path, metrics: dict[str, Any], seed: int) -> None:
         """Write policy.safetensors, config.json and metrics.json."""
         save_weights(run_dir / POLICY, self.actor.state_dict())
@@ -146,8 +151,7 @@ class PolicyAgent:
         if content.get("agent") != cls.name:
             raise RacinesError(f"{described}: a policy of {content.get('agent')!r}, not {cls.name}")
         config = fill(cls.Config, content["config"], str(described))
-        spec, sha256 = getattr(config, "encoder", ""), str(content.get("encoder_sha256"))
-        encoder = open_encoder(spec, device, Path(run_dir), sha256)
+        encoder = cls.opened(config, Path(run_dir), str(content.get("encoder_sha256")), device)
         actor = make_actor(config, encoder, cls.outputs)
         load_network(policy, actor, remedy)
         return cls(config, actor.to(device).eval(), encoder)

@@ -43,7 +43,7 @@ TOLD = ("loss_objective", "loss_critic", "entropy", "kl_approx")
 """Figures of a gradient step, for the curves."""
 
 
-class _Training(TrainingRun):
+class PPOTraining(TrainingRun):
     """One run: actor and critic, advantage and loss."""
 
     trained = ("actor", "critic", "optimiser")
@@ -148,4 +148,4 @@ class PPOAgent(LearningAgent):
 
     name: ClassVar[str] = "ppo"
     Config: ClassVar[type] = PPOConfig
-    Learner: ClassVar[type[TrainingRun]] = _Training
+    Learner: ClassVar[type[TrainingRun]] = PPOTraining

@@ -132,11 +132,10 @@ class TrainingRun(ABC):
         needed("torchrl", f"training {cls.name}")
         self.folder, self.seed, self.progress = folder, seed, progress
         self.cls, self.config = cls, cast(Any, config)
-        looks = config.observation != "params"
-        self.encoder = open_encoder(config.encoder, config.device) if looks else None
-        world, self._validated_in = worlds(config, phantom)
+        self.encoder: Any = self.opened()
+        world, self._validated_in = self.worlds(phantom)
         self.where: dict[str, Any] = {
-            "encoder": self.encoder,
+            "encoder": self.encoder if isinstance(self.encoder, PoseEncoder) else None,
             "backend": config.backend,
             "observation": config.observation,
             "reward": config.reward,
@@ -173,11 +172,24 @@ class TrainingRun(ABC):
                 self._loop(engine)
             return self._finish()
 
-    def _build(self) -> None:
-        """Make the environment, and the actor whose greedy choice is validated and kept."""
+    def opened(self) -> Any:
+        """Return what it looks at images through; None if it learns to see, or sees none."""
+        looks = self.config.observation != "params"
+        return open_encoder(self.config.encoder, self.config.device) if looks else None
+
+    def worlds(self, phantom: WorldLike) -> tuple[World, World]:
+        """Return where it learns and where it is validated."""
+        return worlds(self.config, phantom)
+
+    def environment(self) -> Any:
+        """Return the environment that it gathers experience in."""
         from racines_envs.apis.torchrl_env import ScanEnv
 
-        self.env = ScanEnv(self.config.view, self.config.envs, **self.where)
+        return ScanEnv(self.config.view, self.config.envs, **self.where)
+
+    def _build(self) -> None:
+        """Make the environment, and the actor whose greedy choice is validated and kept."""
+        self.env = self.environment()
         self.actor = (
             make_actor(self.config, self.encoder, self.cls.outputs).to(self.config.device).eval()
         )

@@ -28,6 +28,7 @@ from racines_data.config import section
 from racines_data.errors import RacinesError
 from racines_envs.agents import Agent, agent_class, learns, load_agent
 from racines_envs.agents.protocol import FILES
+from racines_envs.task.tasks import get_task
 from racines_models.published.places import POLICIES, own_or_published
 
 RUNS = Path("envs/runs")
@@ -59,7 +60,7 @@ class Run:
 def check_view(agent: Agent, view: str, name: str, run_dir: Path) -> None:
     """Check that an agent that was trained for a view is asked for that one."""
     trained = getattr(agent, "view", view)
-    if trained != view:
+    if trained != view and not _goes_for(agent, trained, view):
         told = f", or set racines.view of the file to {view}" if name.endswith(".onnx") else ""
         own = "" if Path(name).exists() else f"`racines train agent {name} --view {view}`, or "
         remedy = f"{'train one with ' * bool(own)}{own}evaluate --view {trained}{told}"
@@ -67,6 +68,11 @@ def check_view(agent: Agent, view: str, name: str, run_dir: Path) -> None:
             f"{run_dir if own else name}: this policy was trained for {trained} and observes "
             f"{agent.observation}; it is not for {view}: {remedy}"
         )
+
+
+def _goes_for(agent: Agent, trained: str, view: str) -> bool:
+    """Return whether an agent that was trained for any view is asked for one of the same hearts."""
+    return getattr(agent, "any_view", False) and get_task(trained).tier == get_task(view).tier
 
 
 def split_label(spec: str) -> tuple[str | None, str]:

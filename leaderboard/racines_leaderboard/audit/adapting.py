@@ -1,5 +1,6 @@
 """Rows of generators on patients: what they were asked for, and their numbers made again."""
 
+import dataclasses
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -92,6 +93,12 @@ def score_trained(record: Record, bench: Bench, folder: Path) -> Any:
     assert bench.settings is not None
     name = record["name"]
     cls: Any = generator_class(name)
+    learns = "training" in {each.name for each in dataclasses.fields(cls.Config)}
+    if learns and name not in section(bench.settings, "patient_generators"):
+        raise RacinesError(
+            f"{name}: board {bench.board} has no settings patient_generators.{name}: it was "
+            "trained on one heart, for another board: train it there, or leave --retrain out"
+        )
     stated = section(bench.settings, "patient_generators").get(name) or {}
     config: Any = fill(cls.Config, stated, f"patient_generators.{name}")
     scouts = fill(ScoutsConfig, section(bench.settings, "scouts"), "scouts")

@@ -1,9 +1,12 @@
 """The commands that would verify what an audit could not."""
 
+import dataclasses
 import re
 import shlex
 from collections.abc import Iterator
 
+from racines_envs.agents import agent_class
+from racines_envs.evaluation.agent_specs import find_entry
 from racines_leaderboard.audit import weights
 from racines_leaderboard.audit.bench import JUDGES, KINDS, Bench
 from racines_leaderboard.audit.verdicts import RETRAINABLE, Report
@@ -57,7 +60,7 @@ def remedies(record: Record, bench: Bench, report: Report, quick: bool) -> Itera
         name = weights.run_called(record)
         on = f" --data {data}"
         if record["track"] in (PATIENT_AGENTS.name, PATIENT_GENERATORS.name):
-            on = "" if kind == "agent" else f" --tier {PATIENTS}"
+            on = _of_view(record, bench) if kind == "agent" else f" --tier {PATIENTS}"
         yield f"{TRAIN} {kind} {name} {settings}{on}"
     if any(each.startswith("truth.") for each in subjects):
         yield f"racines leaderboard --recompute {record['track']}/{record['name']} --secret"
@@ -70,6 +73,14 @@ def remedies(record: Record, bench: Bench, report: Report, quick: bool) -> Itera
     hashes = ((kind, absent[kind]) for kind in named if re.fullmatch(r"[0-9a-f]{64}", absent[kind]))
     files = "; ".join(f"{JUDGES[kind]} of sha256 {sha256}" for kind, sha256 in hashes)
     yield f"{audit}{options}  # {files}" if files else f"{audit}{options}"
+
+
+def _of_view(record: Record, bench: Bench) -> str:
+    """Return the options that train an entry for the view of a record, if it learns one alone."""
+    entry = find_entry(bench.settings or {}, weights.run_called(record))
+    if "view" not in {each.name for each in dataclasses.fields(agent_class(entry.agent).Config)}:
+        return ""
+    return f" --view {record['scores']['task']['view']} --name {shlex.quote(record['name'])}"
 
 
 def _absent_judges(record: Record, subjects: set[str]) -> dict[str, str]:

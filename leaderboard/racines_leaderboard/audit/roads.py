@@ -318,7 +318,10 @@ def score_agent(
     phantom = phantom_config(bench.settings)
     if train and files.named(record):
         cls, seed = agent_class(entry.agent), bench.settings.get("seed", 0)
-        own: Any = fill(cls.Config, entry.settings, entry.where)
+        known = {each.name for each in dataclasses.fields(cls.Config)}
+        # On patients an entry may be trained for each view and kind of heart.
+        aim = {"view": view} if "view" in known else {}
+        own: Any = fill(cls.Config, entry.settings | aim, entry.where)
         data = bench.data
         cls.train(own, folder, seed=seed, phantom=phantom, data=data, progress=False)
     judge, guide = (_judge(record, bench, kind) for kind in ("grader", "guide"))

@@ -54,9 +54,15 @@ def submission_of(record: Record, bench: Bench) -> Path:
 
 def run_called(record: Record) -> str:
     """Return the name of a merged system's run: the record's own, or, on patients, a part of it."""
+    return _run_names(record)[-1]
+
+
+def _run_names(record: Record) -> list[str]:
+    """Return what a merged system's run may be called: an agent may learn each view apart."""
+    name = record["name"]
     if record["track"] != PATIENT_AGENTS.name:
-        return record["name"]
-    return run_name(record["name"], record["scores"]["task"]["view"])
+        return [name]
+    return [name, run_name(name, record["scores"]["task"]["view"])]
 
 
 def run_of(record: Record, bench: Bench) -> Path:
@@ -65,22 +71,23 @@ def run_of(record: Record, bench: Bench) -> Path:
     Published are the trainings of a board, `weights/<board>/<name>`, and those of the reference
     board, `weights/<name>`. Where no folder has all, one that has the first training will do.
     """
-    places, name = bench.places, run_called(record)
-    if record["track"] == PATIENT_GENERATORS.name:
+    places, name = bench.places, record["name"]
+    if record["track"] == PATIENT_GENERATORS.name:  # of one heart too, which ignore the patient
         folders = [each / PATIENTS / name for each in (places.runs, places.weights)]
+        folders += [places.weights / name]
     elif record["track"] == MOTION.name:
         folders = [each / MOTION.name / name for each in (places.runs, places.weights)]
     elif record["track"] in HELD_OUT:
         kept = places.weights
         folders = [places.runs / name, kept / bench.board / name, kept / name]
     else:
-        kept = places.policies
-        folders = [places.agents / name, kept / bench.board / name, kept / name]
+        kept = (places.agents, places.policies / bench.board, places.policies)
+        folders = [folder / name for name in _run_names(record) for folder in kept]
     claimed = named(record)
     for wanted in (claimed, first_training(claimed)):
         if found := next((each for each in folders if wanted and has_weights(each, wanted)), None):
             return found
-    return folders[0]
+    return folders[-1] if record["track"] == PATIENT_AGENTS.name else folders[0]
 
 
 def hours_of(record: Record, bench: Bench) -> float | None:

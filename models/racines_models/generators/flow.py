@@ -2,7 +2,7 @@
 
 import copy
 import dataclasses
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 
 import torch
@@ -145,9 +145,10 @@ class Journey(nn.Module):
 
 
 def follow(
-    unet: nn.Module, x: Tensor, parameters: Tensor, steps: int, solver: str, spacing: float = 1.0
-) -> Tensor:
-    """Return the (B, 16, 32, 32) images at the end of the flow from noise `x`.
+    unet: Callable[..., Tensor], x: Tensor, parameters: Tensor, steps: int, solver: str,
+    spacing: float = 1.0,
+) -> Tensor:  # fmt: skip
+    """Return the images at the end of the flow from noise `x`, in its shape.
 
     The last step ends in the mean of what the image may still be, so that a late last step
     (`spacing` above 1) keeps more speckle. Heun's second slope would divide by 0 at the end of the
@@ -163,7 +164,7 @@ def follow(
     return x
 
 
-def _slope(unet: nn.Module, x: Tensor, time: float, parameters: Tensor) -> Tensor:
+def _slope(unet: Callable[..., Tensor], x: Tensor, time: float, parameters: Tensor) -> Tensor:
     foreseen = unet(x, x.new_full((x.shape[0],), time), parameters)
     return (foreseen.float() - x) / (1.0 - time)
 

@@ -170,15 +170,20 @@ class ScoutAttention(NetworkGenerator[ScoutAttentionConfig]):
         other.frames = images.to(self.device)
         return other
 
-    def draw(self, parameters: Tensor, seed: int | Tensor) -> Tensor:
-        """Paint (B, 12) poses of the patient that it is adapted to."""
+    def met(self) -> tuple[Scouts, Tensor]:
+        """Return what is known of the patient that it is adapted to, and the scout's frames."""
         if self.known is None or self.frames is None:
             raise RacinesError(
                 f"{self.name} has no scout of this patient: call adapt(images, parameters, seed), "
                 "or score it with --tier patients"
             )
-        network, held = self.net("painter").eval(), self.known
-        grains = texture(self.frames.float() / 255.0) * held.lit if self.config.grain else None
+        return self.known, self.frames
+
+    def draw(self, parameters: Tensor, seed: int | Tensor) -> Tensor:
+        """Paint (B, 12) poses of the patient that it is adapted to."""
+        held, frames = self.met()
+        network = self.net("painter").eval()
+        grains = texture(frames.float() / 255.0) * held.lit if self.config.grain else None
 
         def paint(parameters: Tensor) -> Tensor:
             owner = torch.zeros(len(parameters), dtype=torch.int64, device=parameters.device)

@@ -19,16 +19,18 @@ SPREAD = 0.3
 """Standard deviation of images in [-1, 1] around what the pose tells early in training."""
 
 
-def scales(time: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+def scales(time: Tensor, spread: float = SPREAD) -> tuple[Tensor, Tensor, Tensor]:
     """Return how much of a noisy image to keep, to change, and what to divide it by.
+
+    `spread` is the standard deviation of the images around what is known of them.
 
     A linear guess of the image keeps the first share; the second is the guess's deviation, 0 at
     the end of the path, where speckle passes untouched. Preconditioning of Karras et al.,
     Elucidating the Design Space of Diffusion-Based Generative Models, 2022, on straight paths.
     """
-    deviation = ((SPREAD * time).square() + (1.0 - time).square()).sqrt()
-    keep = time * SPREAD**2 / deviation.square()
-    return keep, (1.0 - time) * SPREAD / deviation, deviation
+    deviation = ((spread * time).square() + (1.0 - time).square()).sqrt()
+    keep = time * spread**2 / deviation.square()
+    return keep, (1.0 - time) * spread / deviation, deviation
 
 
 class Place(nn.Module):

@@ -14,7 +14,7 @@ from racines_data.errors import RacinesError
 from racines_envs.agents import gathering
 from racines_envs.agents.dqn import DQNAgent, DQNConfig
 from racines_envs.agents.gathering import gathered
-from racines_envs.agents.ppo import PPOAgent, PPOConfig, _Training
+from racines_envs.agents.ppo import PPOAgent, PPOConfig, PPOTraining
 from racines_envs.agents.sac import SACAgent, SACConfig
 from racines_leaderboard.cli.command import app
 from tests.envs.fakes import FakePhantom
@@ -28,9 +28,9 @@ SMALL: dict[str, Any] = {
 }
 
 
-def run_of(folder: Path, **settings: Any) -> _Training:
+def run_of(folder: Path, **settings: Any) -> PPOTraining:
     config = PPOConfig(**SMALL | settings)
-    run = _Training(PPOAgent, config, folder, 3, FakePhantom(), None, False)
+    run = PPOTraining(PPOAgent, config, folder, 3, FakePhantom(), None, False)
     with torch.random.fork_rng():
         torch.manual_seed(3)
         run._build()

@@ -236,6 +236,10 @@ def export_policy(agent: Any, path: Path, about: dict[str, Any] | None = None) -
     if not isinstance(agent, PolicyAgent):
         name = getattr(agent, "name", type(agent).__name__)
         raise RacinesError(f"{name} has no network: it cannot be an ONNX file")
+    if agent.remembers:
+        raise RacinesError(
+            f"{agent.name} remembers what it has seen: it cannot be an ONNX file; record a trace"
+        )
     network = PolicyNetwork(agent)
     shapes = {
         IMAGE: torch.zeros(EXAMPLES, IMAGE_SIZE, IMAGE_SIZE, dtype=torch.uint8),

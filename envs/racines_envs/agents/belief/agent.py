@@ -1,0 +1,133 @@
+"""PPO from what a servo's readings add up to: one policy that is told which view to find.
+
+The servo has learned to read images, and steers by rules that were written for it. Here reward
+teaches the steering: where to go, how long to look, and when to declare. The network that reads is
+frozen and known by its hash.
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, ClassVar
+
+import torch
+from torch import Tensor
+
+from racines_data.errors import RacinesError
+from racines_data.patients.pool import MEMORY
+from racines_data.patients.splits import seeds_of
+from racines_data.world import World
+from racines_envs.agents.belief.sight import Episodes, Sight
+from racines_envs.agents.memory.eyes import eyes_like, eyes_of
+from racines_envs.agents.policy import choose
+from racines_envs.agents.ppo import PPOAgent, PPOConfig, PPOTraining
+from racines_envs.agents.training import TrainingRun
+from racines_envs.task.core import ScanCore
+from racines_envs.task.names import HEART_TIER
+from racines_envs.task.tasks import get_task
+from racines_envs.worlds.making import WorldLike
+from racines_envs.worlds.ward import make_ward
+from racines_models.networks.batching import in_fixed_batches
+
+if TYPE_CHECKING:
+    from torchrl.envs import EnvBase
+
+
+@dataclass(frozen=True)
+class PPOBeliefConfig(PPOConfig):
+    """Through whose eyes it sees, whether it remembers, and on whom it learns."""
+
+    view: str = "AnyView-patients"
+    """A task on patients; of `AnyView` one policy learns to find all views."""
+    observation: str = "multimodal"
+    members: str = "servo"
+    """Run of a servo, a name, trained here or published, or a folder. A training sees through the
+    servo's of the same seed."""
+    memory: bool = True
+    """Add the readings of an episode up; False: the last image alone is known, as to `ppo`."""
+    first: int = 1_000
+    """Train patients left out before its own: those that the servo knows from its training."""
+
+    def __post_init__(self) -> None:
+        task = get_task(self.view)
+        if task.tier == HEART_TIER:
+            raise RacinesError(
+                f"agents.ppo-belief.view: {self.view} has one heart, and a servo reads patients: "
+                "use --tier patients or beating"
+            )
+        if self.observation != "multimodal" or self.encoder or self.backend != "phantom":
+            raise RacinesError(
+                "agents.ppo-belief: it sees image and pose through a servo, of the phantom: leave "
+                "observation, encoder and backend out"
+            )
+        if self.collectors != 1:
+            raise RacinesError("agents.ppo-belief.collectors: beliefs stay in one process: give 1")
+        known = len(seeds_of("train"))
+        if not 0 <= self.first <= known - self.patients:
+            raise RacinesError(
+                f"agents.ppo-belief: {self.patients} train patients after the first {self.first}: "
+                f"there are {known}"
+            )
+
+
+class _Training(PPOTraining):
+    """PPO whose environment tells what has been seen so far."""
+
+    def opened(self) -> Any:
+        """Return what it sees through."""
+        config: Any = self.config
+        return Sight(eyes_of(config.members, self.seed, config.device), config.memory)
+
+    def worlds(self, phantom: WorldLike) -> tuple[World, World]:
+        """Return train patients whom the servo does not know, and validation patients."""
+        config: Any = self.config
+        tier = get_task(config.view).tier
+        own = seeds_of("train")[config.first : config.first + config.patients]
+        held = max(1, config.patients // 2)
+        return (
+            make_ward(tier, "train", tuple(own), config.device, MEMORY),
+            make_ward(tier, "validation", held, config.device, MEMORY),
+        )
+
+    def environment(self) -> "EnvBase":
+        """Return the environment, which tells what is seen in place of the images."""
+        from racines_envs.agents.belief.transform import seen_through
+
+        return seen_through(super().environment(), self.encoder)
+
+
+class PPOBeliefAgent(PPOAgent):
+    """A policy learned from reward that goes by a servo's belief; acts greedily."""
+
+    name: ClassVar[str] = "ppo-belief"
+    Config: ClassVar[type] = PPOBeliefConfig
+    Learner: ClassVar[type[TrainingRun]] = _Training
+
+    @property
+    def any_view(self) -> bool:
+        """Whether it finds any view of its tier."""
+        return get_task(self.view).any_view
+
+    def attach(self, core: ScanCore) -> None:
+        """Begin to see in an environment."""
+        self._seen: Episodes = self.sight.begin(core)
+
+    @property
+    def sight(self) -> Sight:
+        """What it sees through."""
+        assert isinstance(self.encoder, Sight)
+        return self.encoder
+
+    @torch.no_grad()
+    def act(self, observation: dict[str, Tensor], seeds: Tensor) -> Tensor:
+        """Return the (N,) most probable actions by all that has been seen."""
+        self.actor.eval()
+        told = {"features": self._seen.see(observation), "params": observation["params"]}
+        device = next(self.actor.parameters()).device
+        columns = [told[key].to(device) for key in self.actor.keys]
+        logits = in_fixed_batches(self.actor, *columns)
+        return choose(logits, seeds, getattr(self.config, "temperature", 0.0))
+
+    @classmethod
+    def opened(cls, config: Any, run_dir: Path, sha256: str, device: Any) -> Any:
+        """Return the servo's network that a saved policy sees through, by its hash."""
+        return Sight(eyes_like(sha256, config.members, run_dir, str(device)), config.memory)
