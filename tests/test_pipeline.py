@@ -192,7 +192,7 @@ def test_profiles_have_the_same_sections():
         assert {"random", "planner", "ppo"} <= set(content["agents"])
 
 
-ON_PATIENTS = {"constant-pose", "blind-tour", "servo", "servo-memory"}
+ON_PATIENTS = {"constant-pose", "blind-tour", "servo", "servo-memory", "ppo-belief"}
 """Agents that know patients only."""
 OF_OTHERS = {"onnx", "servo-ensemble"}
 """Agents made of a file, or of another's trainings."""

@@ -31,10 +31,15 @@ GROUPS = {
     "models/weights/flow": "generator, reference profile",
     "models/weights/vae-gan": "generator, reference profile, three trainings",
     "models/weights/*gan": "further generators, reference profile, the first training of each",
-    "models/weights/phantom-default/scene-field": "generator, default profile, three trainings",
+    "models/weights/phantom-default/scene-field": "generator, default profile, further trainings: "
+    "the first is what `make repro` trains",
     "models/weights/phantom-default/vae-gan": "generator, default profile, three trainings",
     "envs/weights/servo": "agent on patients, three trainings, one network for all views",
     "envs/weights/servo-memory": "agent on patients that sees through the servo, three trainings",
+    "envs/weights/patients/ppo-*": "policies on still patients that see the pose, one a view, three "
+    "trainings each",
+    "envs/weights/beating/ppo-*": "the same on beating hearts",
+    "envs/weights/ppo-belief": "policy on patients that sees through the servo, three trainings",
     "envs/weights/constant-pose": "floor on patients: a pose for each view",
     "envs/weights/blind-tour": "floor on patients: poses for each view",
     "envs/weights/phantom-default/*": "policies, default profile, three trainings each",

@@ -28,6 +28,7 @@ from racines_data.config import section
 from racines_data.errors import RacinesError
 from racines_envs.agents import Agent, agent_class, learns, load_agent
 from racines_envs.agents.protocol import FILES
+from racines_envs.task.names import HEART_TIER
 from racines_envs.task.tasks import get_task
 from racines_models.published.places import POLICIES, own_or_published
 
@@ -71,8 +72,9 @@ def check_view(agent: Agent, view: str, name: str, run_dir: Path) -> None:
 
 
 def _goes_for(agent: Agent, trained: str, view: str) -> bool:
-    """Return whether an agent that was trained for any view is asked for one of the same hearts."""
-    return getattr(agent, "any_view", False) and get_task(trained).tier == get_task(view).tier
+    """Return whether who was trained to find any view of patients is asked for one of theirs."""
+    patients = HEART_TIER not in (get_task(trained).tier, get_task(view).tier)
+    return getattr(agent, "any_view", False) and patients
 
 
 def split_label(spec: str) -> tuple[str | None, str]:

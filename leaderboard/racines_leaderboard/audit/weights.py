@@ -87,7 +87,7 @@ def run_of(record: Record, bench: Bench) -> Path:
     for wanted in (claimed, first_training(claimed)):
         if found := next((each for each in folders if wanted and has_weights(each, wanted)), None):
             return found
-    return folders[-1] if record["track"] == PATIENT_AGENTS.name else folders[0]
+    return folders[0].with_name(run_called(record))
 
 
 def hours_of(record: Record, bench: Bench) -> float | None:

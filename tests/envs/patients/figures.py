@@ -1,13 +1,11 @@
-"""What the documentation says of agents on patients: from their boards, and from other scores.
+"""What the documentation says of agents on patients, from their boards.
 
-racines eval agent AGENT --view VIEW --tier TIER --split SPLIT --out FILE
-python -m tests.envs.patients.figures FOLDER    # of such files: AGENT-VIEW-TIER-SPLIT.json
-
-Of an agent that neither the boards nor the folder know, what was written before stays.
+racines eval agent AGENT --view VIEW --tier TIER --profile reference --out FILE
+racines leaderboard --board TIER --collect FILE
+python -m tests.envs.patients.figures
 """
 
 import json
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -19,9 +17,8 @@ from racines_models.statistics.intervals import difference
 
 RESULT = Path(__file__).parents[3] / "docs/results/patient-tasks.json"
 BOARDS = RESULT.parents[2] / "leaderboard/results"
-AGENTS = ("constant-pose", "blind-tour", "ppo", "servo", "servo-memory", "planner")
+AGENTS = ("random", "constant-pose", "blind-tour", "ppo", "servo", "servo-memory", "planner")
 TIERS = {"patients": "still", "beating": "beating"}
-SPLITS = ("validation", "test")
 Found = dict[tuple[str, ...], dict[str, Any]]
 """Scores by agent, view, tier and split."""
 
@@ -35,23 +32,6 @@ def on_boards() -> Found:
             view, split = scores["task"]["definition"]["view"], scores["task"]["split"]
             found[scores["submission"], view, tier, split] = scores
     return found
-
-
-def read(folder: Path) -> Found:
-    """Return the scores of a folder, each what its name says, and over them those on boards."""
-    found: Found = {}
-    for agent in AGENTS:
-        for view in VIEWS:
-            for tier in TIERS:
-                for split in SPLITS:
-                    path = folder / f"{agent}-{view}-{tier}-{split}.json"
-                    if path.is_file():
-                        scores = json.loads(path.read_text())
-                        task = scores["task"]
-                        assert (task["view"], task["split"]) == (f"{view}-{tier}", split), path
-                        assert scores["submission"] == agent, path
-                        found[agent, view, tier, split] = scores
-    return found | on_boards()
 
 
 def percent(told: dict[str, Any], digits: int = 0) -> str:
@@ -135,16 +115,9 @@ def floors(found: Found, split: str) -> dict[str, float]:
     shares = {
         agent: [100 * scores["metrics"]["success_declared"]["value"]
                 for (name, *_, its), scores in found.items() if (name, its) == (agent, split)]
-        for agent in AGENTS[:3]
+        for agent in AGENTS[:4]
     }  # fmt: skip
     return {agent: round(max(each), 1) for agent, each in shares.items() if each}
-
-
-def with_former(rows: list[list[str]], former: list[list[str]]) -> list[list[str]]:
-    """Return rows, agent first, and those of agents that they lack, in the agents' order."""
-    told = {row[0] for row in rows}
-    rows = rows + [row for row in former if row[0] not in told]
-    return sorted(rows, key=lambda row: AGENTS.index(row[0]))
 
 
 def fill(found: Found) -> None:
@@ -153,8 +126,6 @@ def fill(found: Found) -> None:
     assert len(versions) == 1, versions
     content = json.loads(RESULT.read_text())
     tables = {"success_test": success(found, "test"), "ends": ends(found, "test")}
-    for name, table in tables.items():
-        table["rows"] = with_former(table["rows"], content["tables"][name]["rows"])
     tables |= {"pathology": by_pathology(found, "servo", "test")}
     tables |= {"gains": gains("servo-memory", "servo")}
     shown = {
@@ -168,7 +139,7 @@ def fill(found: Found) -> None:
     }  # fmt: skip
     told = found["servo", "A4C", "patients", "test"]["metrics"]["success_declared"]["settings"]
     figures = {
-        "floors": content["figures"]["floors"] | floors(found, "test"),
+        "floors": floors(found, "test"),
         "level": round(100 * told["level"]),
         "world": versions.pop(),
         "planner_least": round(
@@ -185,4 +156,4 @@ def fill(found: Found) -> None:
 
 
 if __name__ == "__main__":
-    fill(read(Path(sys.argv[1])))
+    fill(on_boards())

@@ -9,11 +9,14 @@ import torch
 from racines_data.errors import RacinesError
 from racines_data.views import VIEWS
 from racines_envs.agents.belief.agent import PPOBeliefAgent, PPOBeliefConfig
+from racines_envs.agents.belief.agent import _Training as Training
 from racines_envs.agents.belief.sight import SIZE, Sight
-from racines_envs.agents.belief.transform import seen_through
+from racines_envs.agents.belief.transform import TAUGHT, seen_through
 from racines_envs.agents.memory.eyes import eyes_of
 from racines_envs.agents.onnx.policy import export_policy
+from racines_envs.agents.planner import PlannerAgent
 from racines_envs.agents.policy import make_actor
+from racines_envs.agents.training import seeded
 from racines_envs.apis.torchrl_env import ScanEnv
 from racines_envs.evaluation.agent_specs import check_view
 from racines_envs.task.actions import IDLE
@@ -115,16 +118,37 @@ def test_torchrl_is_told_the_same(still, servo):
     assert core.state.steps.tolist() == [2, 5]
 
 
+def tiny(servo: Path, **change) -> PPOBeliefConfig:
+    """Return settings of a training of seconds: as many lessons as steps by reward."""
+    return PPOBeliefConfig(
+        members=str(servo), patients=1, frames=64, imitate=32, envs=8, update_every=32, epochs=1,
+        minibatch=16, validation_starts=2, validate_every=64, hidden=(16, 16), **change,
+    )  # fmt: skip
+
+
 @pytest.fixture(scope="module")
 def trained(servo, tmp_path_factory, hearts):
     folder = tmp_path_factory.mktemp("belief")
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("XDG_CACHE_HOME", str(hearts))
-        config = PPOBeliefConfig(
-            members=str(servo), patients=1, frames=64, envs=8, update_every=32, epochs=1,
-            minibatch=16, validation_starts=2, validate_every=64, hidden=(16, 16),
-        )  # fmt: skip
-        return PPOBeliefAgent.train(config, folder, seed=1, progress=False), folder
+        agent = PPOBeliefAgent.train(tiny(servo), folder, seed=1, progress=False)
+    return agent, folder
+
+
+def test_lessons_are_the_planners_and_are_learned(servo, tmp_path):
+    """What it is taught in a state is what the planner does there; more lessons, fewer errors."""
+    run = Training(PPOBeliefAgent, tiny(servo), tmp_path, 0, None, None, False)
+    with seeded(0, 1):
+        run._build()
+        seen = run.env.set_seed(3) and run.env.reset()
+        planner = PlannerAgent()
+        planner.attach(run.env.base_env.core)
+        assert torch.equal(seen[TAUGHT], planner.act({}, torch.empty(0)))
+        batch = next(iter(run._experience()))
+        taught = [run._imitate(batch.clone())["update/taught"] for _ in range(40)]
+    assert taught[-1] < 0.9 * taught[0]
+    assert len(run.lessons) == 40 and run.lessons[0].batch_size == (32,)
+    assert TAUGHT not in run.actor.keys, "it is never shown what it is taught"
 
 
 def test_what_is_learned_is_saved_and_acts_again(trained, still):
@@ -143,13 +167,12 @@ def test_what_is_learned_is_saved_and_acts_again(trained, still):
     assert torch.equal(*acted)
 
 
-def test_one_policy_is_for_all_views_of_its_hearts(trained):
+def test_one_policy_is_for_all_views_of_patients(trained):
     agent, folder = trained
-    for view in ("A4C-patients", "AnyView-patients"):
+    for view in ("A4C-patients", "AnyView-patients", "PL-beating"):
         check_view(agent, view, "ppo-belief", folder)
-    for view in ("A4C-beating", "A4C"):
-        with pytest.raises(RacinesError, match="trained for AnyView-patients"):
-            check_view(agent, view, "ppo-belief", folder)
+    with pytest.raises(RacinesError, match="trained for AnyView-patients"):
+        check_view(agent, "A4C", "ppo-belief", folder)
 
 
 def test_it_sees_through_the_servo_that_it_learned_with(trained, servo, tmp_path):
@@ -178,6 +201,7 @@ def test_a_memory_is_no_onnx_file(trained, tmp_path):
         ({"observation": "params"}, "sees image and pose through a servo"),
         ({"encoder": "explored"}, "leave observation, encoder and backend out"),
         ({"collectors": 2}, "give 1"),
+        ({"imitate": 10**6}, "give 0 to frames"),
         ({"first": 10**6}, "there are"),
     ],
 )

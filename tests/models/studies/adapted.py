@@ -1,7 +1,8 @@
-"""What the documentation says of generators that adapt, from the scores of the command.
+"""What the documentation says of generators on patients, from the records of their board.
 
 racines eval generator NAME --tier patients --profile reference --out FOLDER
-python -m tests.models.studies.adapted FOLDER MACHINE
+racines leaderboard --board patients --collect FOLDER
+python -m tests.models.studies.adapted MACHINE
 """
 
 import json
@@ -13,17 +14,21 @@ from racines_data.files import write_json
 from tests.models.studies.judged import number
 
 OUT = Path(__file__).parents[3] / "docs/results/patient-generators.json"
+BOARD = OUT.parents[2] / "leaderboard/results/patients/patient-generators"
 METRICS = {
     "ssim": ("SSIM", 3), "psnr": ("PSNR, dB", 2), "kid": ("KID", 3), "fid": ("FID", 0),
     "pose_error_mm": ("pose error, mm", 1), "pose_error_deg": ("pose error, °", 1),
     "dice": ("Dice", 3),
 }  # fmt: skip
 ORDER = ("mean-image", "nearest-pose", "scout-attention", "noise-ceiling")
+ONE_HEART = ("vae-gan", "cgan", "flow", "scene-field")
+"""Trained on the one heart: they ignore the patient."""
 
 
-def main(folder: Path, machine: str) -> None:
-    """Write the tables: all poses, and each stratum."""
-    found = [json.loads((folder / f"{name}.json").read_text()) for name in ORDER]
+def main(machine: str) -> None:
+    """Write the tables: all poses, each stratum, and those who ignore the patient."""
+    found = [_read(name) for name in ORDER]
+    ignoring = [_read(name) for name in ONE_HEART]
     split, n = found[0]["dataset"]["split"], found[0]["metrics"]["ssim"]["n"]
     units = found[0]["metrics"]["ssim"]["settings"]["units"]
     heads = [title for title, _ in METRICS.values()]
@@ -32,25 +37,33 @@ def main(folder: Path, machine: str) -> None:
     for each in found:
         for title, metrics in each["by_stratum"].items():
             strata.setdefault(title, []).append([title, each["generator"], *_figures(metrics)])
-    trainings = {each["generator"]: each["runs"] for each in found if each["trained"]}
+    trainings = {each["generator"]: each["runs"] for each in found + ignoring if each["trained"]}
+    heart = [[f"`{each['generator']}`", str(each["runs"]), *_figures(each["metrics"])]
+             for each in (*ignoring, found[0], found[1])]  # fmt: skip
     adapting = found[ORDER.index("scout-attention")]["metrics"]["seconds_to_adapt"]["value"]
     told = {
         "schema": "racines.figures/1",
         "what": f"generators on {units} {split} patients, {n} poses; trainings: {trainings}",
         "command": "racines eval generator NAME --tier patients --profile reference --out FOLDER, "
-        "of what learned with --run models/weights/patients/NAME; "
-        "python -m tests.models.studies.adapted FOLDER MACHINE",
+        "of what learned on the one heart with --run models/weights/NAME; "
+        "racines leaderboard --board patients --collect FOLDER; "
+        "python -m tests.models.studies.adapted MACHINE",
         "machine": machine,
         "source": "measured once",
         "figures": {"patients": units, "poses": n, "seconds_to_adapt": round(adapting, 2)},
         "tables": {
             "all": {"columns": ["method", *heads], "rows": rows},
+            "one_heart": {"columns": ["generator", "trainings", *heads], "rows": heart},
             "strata": {
                 "columns": ["distance", "method", *heads], "rows": sum(strata.values(), [])
             },
         },
     }  # fmt: skip
     write_json(OUT, told)
+
+
+def _read(name: str) -> dict[str, Any]:
+    return json.loads((BOARD / f"{name}.json").read_text())["scores"]
 
 
 def _figures(metrics: dict[str, Any]) -> list[str]:
@@ -61,4 +74,4 @@ def _figures(metrics: dict[str, Any]) -> list[str]:
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]), sys.argv[2])
+    main(sys.argv[1])

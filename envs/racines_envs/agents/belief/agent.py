@@ -1,8 +1,8 @@
 """PPO from what a servo's readings add up to: one policy that is told which view to find.
 
-The servo has learned to read images, and steers by rules that were written for it. Here reward
-teaches the steering: where to go, how long to look, and when to declare. The network that reads is
-frozen and known by its hash.
+The servo has learned to read images, and steers by rules that were written for it. Here the
+steering is learned: where to go, how long to look, and when to declare; first from a planner that
+knows the truth, then from reward. The network that reads is frozen and known by its hash.
 """
 
 from dataclasses import dataclass
@@ -10,7 +10,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
+from torch.nn.functional import cross_entropy, smooth_l1_loss
 
 from racines_data.errors import RacinesError
 from racines_data.patients.pool import MEMORY
@@ -29,6 +30,7 @@ from racines_envs.worlds.ward import make_ward
 from racines_models.networks.batching import in_fixed_batches
 
 if TYPE_CHECKING:
+    from tensordict import TensorDictBase
     from torchrl.envs import EnvBase
 
 
@@ -44,6 +46,9 @@ class PPOBeliefConfig(PPOConfig):
     servo's of the same seed."""
     memory: bool = True
     """Add the readings of an episode up; False: the last image alone is known, as to `ppo`."""
+    imitate: int = 60_000
+    """Of the frames so many, the first, teach it what the planner would do who knows the truth, on
+    its own ways (DAgger); reward teaches it from there on. 0: reward alone."""
     first: int = 1_000
     """Train patients left out before its own: those that the servo knows from its training."""
 
@@ -58,6 +63,10 @@ class PPOBeliefConfig(PPOConfig):
             raise RacinesError(
                 "agents.ppo-belief: it sees image and pose through a servo, of the phantom: leave "
                 "observation, encoder and backend out"
+            )
+        if not 0 <= self.imitate <= self.frames:
+            raise RacinesError(
+                f"agents.ppo-belief.imitate: {self.imitate}: give 0 to frames, {self.frames}"
             )
         if self.collectors != 1:
             raise RacinesError("agents.ppo-belief.collectors: beliefs stay in one process: give 1")
@@ -92,7 +101,55 @@ class _Training(PPOTraining):
         """Return the environment, which tells what is seen in place of the images."""
         from racines_envs.agents.belief.transform import seen_through
 
-        return seen_through(super().environment(), self.encoder)
+        return seen_through(super().environment(), self.encoder, self._taught)
+
+    @property
+    def _taught(self) -> bool:
+        config: Any = self.config
+        return config.imitate > 0
+
+    def _build(self) -> None:
+        super()._build()
+        self.lessons: list[Any] = []
+
+    def _update(self, batch: "TensorDictBase") -> dict[str, float]:
+        """Learn from the planner's steps first, then from reward."""
+        config: Any = self.config
+        if self.frames >= config.imitate:
+            self.lessons.clear()
+            return super()._update(batch)
+        return self._imitate(batch)
+
+    def _imitate(self, batch: "TensorDictBase") -> dict[str, float]:
+        """Learn what the planner would have done in all states so far, and what they are worth.
+
+        As in learning by cheating (Chen et al., 2020), who teaches knows what nobody can see; a run
+        that was killed begins its lessons anew.
+        """
+        from racines_envs.agents.belief.transform import TAUGHT
+
+        config = self.config
+        batch["next", "reward"] = batch["next", "reward"] * config.reward_scale
+        with torch.no_grad():
+            self.advantage(batch)
+        keys = (*self.actor.keys, TAUGHT, "value_target")
+        self.lessons.append(batch.reshape(-1).select(*keys).clone())
+        lessons: Any = torch.cat(self.lessons)
+        self._refresh_norms(lessons[torch.randperm(len(lessons))[: config.minibatch]])
+        count = config.epochs * config.update_every // config.minibatch
+        total = torch.zeros(2)
+        for _ in range(count):
+            some = lessons[torch.randint(len(lessons), (config.minibatch,))]
+            seen = [some[key] for key in self.actor.keys]
+            taught = cross_entropy(self.actor(*seen), some[TAUGHT])
+            worth = smooth_l1_loss(self.critic(*seen), some["value_target"])
+            self.optimiser.zero_grad()
+            (taught + worth).backward()
+            nn.utils.clip_grad_norm_(self.loss.parameters(), config.max_gradient)
+            self.optimiser.step()
+            total += torch.stack([taught.detach(), worth.detach()]).cpu()
+        told = dict(zip(("taught", "loss_critic"), (total / count).tolist(), strict=True))
+        return {f"update/{key}": value for key, value in told.items()}
 
 
 class PPOBeliefAgent(PPOAgent):
