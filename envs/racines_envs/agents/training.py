@@ -20,22 +20,19 @@ import torch
 from racines_data.engines import Engine
 from racines_data.errors import RacinesError
 from racines_data.extras import needed
-from racines_data.patients.pool import MEMORY
 from racines_data.store.frames import FrameStore, open_store
-from racines_data.terminal import note, quiet, say
+from racines_data.terminal import quiet, say
 from racines_data.world import World
 from racines_envs.agents.gathering import gathered
+from racines_envs.agents.learned_in import worlds
 from racines_envs.agents.networks import PoseEncoder, open_encoder
 from racines_envs.agents.policy import PolicyAgent, make_actor, told_settings
 from racines_envs.agents.rollout import rollout
-from racines_envs.task.names import HEART_TIER
 from racines_envs.task.rewards import RewardConfig, get_reward
 from racines_envs.task.starts import validation_seeds
 from racines_envs.worlds.backends import JudgeLike, make_grader, source_weights, usual_grader
-from racines_envs.worlds.making import WorldLike, find_task, make_core, make_phantom, phantom_recipe
-from racines_envs.worlds.recorded.opening import of_split
+from racines_envs.worlds.making import WorldLike, find_task, make_core, phantom_recipe
 from racines_envs.worlds.recorded.world import Recordings
-from racines_envs.worlds.ward import make_ward
 from racines_models.devices import on_device
 from racines_models.protocol import Run
 from racines_models.training.checkpoint import Checkpoint, discard_checkpoint
@@ -323,36 +320,6 @@ class LearningAgent(PolicyAgent):
     ) -> Self:  # fmt: skip
         where = (run.folder, run.seed, phantom, grader, run.progress, data)
         return cls.Learner(cls, config, *where).run(run.resume, engine)
-
-
-def worlds(config: TrainingConfig, phantom: WorldLike) -> tuple[World, World]:
-    """Return where a run learns and where it is validated: one heart, or patients of two splits.
-
-    In recordings that stand alone it is validated from starts of the validation split, and from its
-    own where that split has none.
-    """
-    if isinstance(phantom, Recordings):
-        return phantom, validated_in(phantom)
-    task = find_task(config.view, phantom)
-    if task.tier == HEART_TIER:
-        world = make_phantom(phantom, config.device, task.anatomy)
-        return world, world
-    # Who is shown the pose alone holds no voxels.
-    memory = MEMORY if config.observation != "params" else 1 << 50
-    counts = {"train": config.patients, "validation": max(1, config.patients // 2)}
-    train, validation = (
-        make_ward(task.tier, split, count, config.device, memory) for split, count in counts.items()
-    )
-    return train, validation
-
-
-def validated_in(world: Recordings) -> Recordings:
-    """Return the recordings with starts of the validation split; themselves where it has none."""
-    try:
-        return of_split(world, "validation")
-    except RacinesError as error:
-        note(f"racines: validated from starts of split {world.settings.split!r}: {error}")
-        return world
 
 
 def settings_identity(
