@@ -36,8 +36,8 @@ GROUPS = {
     "models/weights/phantom-default/vae-gan": "generator, default profile, three trainings",
     "envs/weights/servo": "agent on patients, three trainings, one network for all views",
     "envs/weights/servo-memory": "agent on patients that sees through the servo, three trainings",
-    "envs/weights/patients/ppo-*": "policies on still patients that see the pose, one a view, three "
-    "trainings each",
+    "envs/weights/patients/ppo-*": "policies on still patients that see the pose, three trainings "
+    "a view",
     "envs/weights/beating/ppo-*": "the same on beating hearts",
     "envs/weights/ppo-belief": "policy on patients that sees through the servo, three trainings",
     "envs/weights/constant-pose": "floor on patients: a pose for each view",

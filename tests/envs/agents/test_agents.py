@@ -95,7 +95,7 @@ class TestContract:
 
 
 def test_unknown_agents_and_classes_that_are_none_are_refused(tmp_path):
-    with pytest.raises(RacinesError, match="planner, ppo, random"):
+    with pytest.raises(RacinesError, match="planner, ppo, ppo-belief, random"):
         agent_class("ddpg")
     with pytest.raises(RacinesError, match="lacks"):
         agent_class("pathlib:Path")
@@ -187,7 +187,7 @@ def test_ppo_is_reproducible_and_leaves_the_global_random_state_alone(phantom, t
 def test_ppo_resumes_after_a_kill(phantom, tmp_path, monkeypatch):
     from racines_envs.agents import ppo
 
-    real, calls = ppo._Training._validate, []
+    real, calls = ppo.PPOTraining._validate, []
 
     def killed(self):
         calls.append(self.frames)
@@ -195,7 +195,7 @@ def test_ppo_resumes_after_a_kill(phantom, tmp_path, monkeypatch):
             raise KeyboardInterrupt
         return real(self)
 
-    monkeypatch.setattr(ppo._Training, "_validate", killed)
+    monkeypatch.setattr(ppo.PPOTraining, "_validate", killed)
     with pytest.raises(KeyboardInterrupt):
         PPOAgent.train(TINY, tmp_path, phantom=phantom, progress=False)
     assert (tmp_path / "checkpoint").is_dir() and not (tmp_path / "policy.safetensors").exists()

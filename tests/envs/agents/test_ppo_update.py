@@ -9,7 +9,7 @@ from torch import Tensor
 from torch.nn import functional
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
-from racines_envs.agents.ppo import PPOAgent, PPOConfig, _Training
+from racines_envs.agents.ppo import PPOAgent, PPOConfig, PPOTraining
 
 ENVS, STEPS = 4, 12
 CONFIG = PPOConfig(
@@ -19,14 +19,14 @@ CONFIG = PPOConfig(
 )  # fmt: skip
 
 
-def training(phantom, folder, **changes) -> _Training:
+def training(phantom, folder, **changes) -> PPOTraining:
     torch.manual_seed(0)
-    run = _Training(PPOAgent, replace(CONFIG, **changes), folder, 0, phantom, None, False)
+    run = PPOTraining(PPOAgent, replace(CONFIG, **changes), folder, 0, phantom, None, False)
     run._build()
     return run
 
 
-def experience(run: _Training) -> TensorDict:
+def experience(run: PPOTraining) -> TensorDict:
     """Steps with rewards from 0 to 1, one row that ends after six and one that is cut."""
     with set_exploration_type(ExplorationType.RANDOM), torch.no_grad():
         batch = run.env.rollout(STEPS, run.policy, break_when_any_done=False)
@@ -39,7 +39,7 @@ def experience(run: _Training) -> TensorDict:
     return batch
 
 
-def advantages(run: _Training, batch: TensorDict) -> tuple[Tensor, Tensor]:
+def advantages(run: PPOTraining, batch: TensorDict) -> tuple[Tensor, Tensor]:
     """Schulman et al., 2016, one step at a time: (envs, steps) advantages and value targets."""
     with torch.no_grad():
         value, ahead = (run.critic(each["params"])[..., 0] for each in (batch, batch["next"]))
@@ -53,7 +53,7 @@ def advantages(run: _Training, batch: TensorDict) -> tuple[Tensor, Tensor]:
     return advantage, advantage + value
 
 
-def loss(run: _Training, batch: TensorDict) -> Tensor:
+def loss(run: PPOTraining, batch: TensorDict) -> Tensor:
     """Schulman et al., 2017, equations 7 and 9, with a smooth L1 loss of the critic."""
     advantage, target = (each.reshape(-1) for each in advantages(run, batch))
     advantage = (advantage - advantage.mean()) / advantage.std()
@@ -67,7 +67,7 @@ def loss(run: _Training, batch: TensorDict) -> Tensor:
     return functional.smooth_l1_loss(value, target) - gain - 0.3 * entropy
 
 
-def perturb(run: _Training) -> None:
+def perturb(run: PPOTraining) -> None:
     """Let the policy move on, as later minibatches of an update find it."""
     with torch.no_grad():
         for parameter in run.actor.parameters():

@@ -21,7 +21,7 @@ def main(machine: str, given: list[str]) -> None:
     found = {}
     for each in given:
         label, _, path = each.rpartition("=")
-        found[label] = json.loads(Path(path).read_text())
+        found[label] = json.loads(Path(path).read_text(encoding="utf-8"))
     asked = {scores["dataset"]["sample"] for scores in found.values()}
     assert len(asked) == 1, "scores of unlike poses"
     first = next(iter(found.values()))
