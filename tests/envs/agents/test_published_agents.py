@@ -16,7 +16,7 @@ from tests.variants import first_of
 
 WEIGHTS = Path("envs/weights")
 FOLDERS = sorted(path.parent for path in WEIGHTS.glob("*/config.json"))
-ON_PATIENTS = {"servo", "servo-memory"}
+ON_PATIENTS = {"servo", "servo-memory", "ppo-belief"}
 """Agents that know patients, and not the one heart."""
 FLOORS = {"constant-pose", "blind-tour"}
 """Agents that know patients and never look: what they find is little."""
@@ -56,7 +56,8 @@ def test_a_published_floor_goes_to_its_poses_and_declares(name):
 )
 def test_a_published_policy_finds_most_train_patients_views(folder, seed):
     agent = load_agent(read(folder)["agent"], folder / seed)
-    assert "/" not in read(folder / seed)["config"]["store"].removeprefix("envs/runs/")
+    store = read(folder / seed)["config"].get("store", "")
+    assert "/" not in store.removeprefix("envs/runs/")
     ward = make_ward("patients", "train", 2)
     core = make_core(
         "AnyView-patients", 10, observation=agent.observation, reward="oracle", phantom=ward
