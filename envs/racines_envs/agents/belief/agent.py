@@ -45,7 +45,7 @@ class PPOBeliefConfig(PPOConfig):
     """Run of a servo, a name, trained here or published, or a folder. A training sees through the
     servo's of the same seed."""
     memory: bool = True
-    """Add the readings of an episode up; False: the last image alone is known, as to `ppo`."""
+    """Add up the readings of an episode; False: it knows the last image alone."""
     imitate: int = 60_000
     """Of the frames so many, the first, teach it what the planner would do who knows the truth, on
     its own ways (DAgger); reward teaches it from there on. 0: reward alone."""
@@ -136,7 +136,7 @@ class _Training(PPOTraining):
         self.lessons.append(batch.reshape(-1).select(*keys).clone())
         lessons: Any = torch.cat(self.lessons)
         self._refresh_norms(lessons[torch.randperm(len(lessons))[: config.minibatch]])
-        count = config.epochs * config.update_every // config.minibatch
+        count = max(1, config.epochs * config.update_every // config.minibatch)
         total = torch.zeros(2)
         for _ in range(count):
             some = lessons[torch.randint(len(lessons), (config.minibatch,))]
