@@ -77,6 +77,8 @@ class PolicyAgent:
     Config: ClassVar[type]
     outputs: ClassVar[int] = len(ACTIONS)
     """Numbers that its network gives."""
+    hashed: ClassVar[str] = "encoder_sha256"
+    """Where a run's `config.json` names the weights of what it looks through."""
     remembers: ClassVar[bool] = False
     """Whether what it does in a step depends on the steps before; see `rollout`."""
 
@@ -136,7 +138,7 @@ class PolicyAgent:
         save_weights(run_dir / POLICY, self.actor.state_dict())
         config = {"agent": self.name, "config": told_settings(self.config), "seed": seed}
         if self.encoder is not None:
-            config["encoder_sha256"] = self.encoder.sha256
+            config[self.hashed] = self.encoder.sha256
         write_json(run_dir / "config.json", config)
         write_json(run_dir / "metrics.json", metrics)
 
@@ -151,7 +153,7 @@ class PolicyAgent:
         if content.get("agent") != cls.name:
             raise RacinesError(f"{described}: a policy of {content.get('agent')!r}, not {cls.name}")
         config = fill(cls.Config, content["config"], str(described))
-        encoder = cls.opened(config, Path(run_dir), str(content.get("encoder_sha256")), device)
+        encoder = cls.opened(config, Path(run_dir), str(content.get(cls.hashed)), device)
         actor = make_actor(config, encoder, cls.outputs)
         load_network(policy, actor, remedy)
         return cls(config, actor.to(device).eval(), encoder)

@@ -19,6 +19,7 @@ from racines_envs.agents.policy import make_actor
 from racines_envs.agents.training import seeded
 from racines_envs.apis.torchrl_env import ScanEnv
 from racines_envs.evaluation.agent_specs import check_view
+from racines_envs.evaluation.trainings import find_trainings
 from racines_envs.task.actions import IDLE
 from racines_envs.worlds.making import make_core
 from tests.envs.patients.test_memory import save
@@ -131,8 +132,16 @@ def trained(servo, tmp_path_factory, hearts):
     folder = tmp_path_factory.mktemp("belief")
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("XDG_CACHE_HOME", str(hearts))
-        agent = PPOBeliefAgent.train(tiny(servo), folder, seed=1, progress=False)
+        agent = PPOBeliefAgent.train(tiny(servo), folder, seed=0, progress=False)
+        PPOBeliefAgent.train(tiny(servo), folder / "seed-1", seed=1, progress=False)
     return agent, folder
+
+
+def test_trainings_count_together_though_each_sees_through_another_servo(trained):
+    found = find_trainings(trained[1])
+    assert [each.seed for each in found] == [0, 1]
+    one, two = (PPOBeliefAgent.load(each.folder).sight.sha256 for each in found)
+    assert one != two
 
 
 def test_lessons_are_the_planners_and_are_learned(servo, tmp_path):

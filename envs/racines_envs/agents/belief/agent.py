@@ -158,6 +158,8 @@ class PPOBeliefAgent(PPOAgent):
     name: ClassVar[str] = "ppo-belief"
     Config: ClassVar[type] = PPOBeliefConfig
     Learner: ClassVar[type[TrainingRun]] = _Training
+    hashed: ClassVar[str] = "eyes_sha256"
+    """Not an encoder's: each training sees through another of the servo's."""
 
     @property
     def any_view(self) -> bool:
