@@ -28,6 +28,7 @@ MOST = 60
 """Packages of the core beside torch and what torch itself needs, ours included."""
 STUDIO = "racines_leaderboard.studio"
 NEEDS_ITS_EXTRA = {
+    "racines_envs.agents.belief.transform": "train",
     "racines_envs.apis.torchrl_env": "train",
     "racines_envs.apis.sb3": None,
     "racines_envs.apis.tianshou": None,

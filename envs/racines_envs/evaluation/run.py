@@ -14,7 +14,6 @@ from racines_data.engines import Engine
 from racines_data.errors import RacinesError
 from racines_data.world import World
 from racines_envs.agents import learns, load_agent, sees
-from racines_envs.agents.networks import PoseEncoder
 from racines_envs.agents.onnx.policy import OnnxPolicyAgent
 from racines_envs.agents.planner import PlannerAgent
 from racines_envs.agents.protocol import FILES, Agent, Untrained, acts
@@ -290,7 +289,7 @@ def start_seeds(starts: int, sets: Sequence[int]) -> Tensor:
 def core_for(agent: Agent, view: str | Task, rows: int, **settings: Any) -> ScanCore:
     """Return the environment of a view as an agent looks at it; settings as of `make_core`."""
     encoder = getattr(agent, "encoder", None)
-    encoder = encoder if isinstance(encoder, PoseEncoder) else None  # else it looks for itself
+    encoder = encoder if callable(encoder) else None  # else the agent itself looks through it
     shown: dict[str, Any] = {"observation": agent.observation, "encoder": encoder}
     return make_core(view, rows, action=acts(agent), **shown, **settings)
 

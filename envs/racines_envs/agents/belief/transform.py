@@ -3,13 +3,18 @@
 from typing import Any
 
 import torch
-from tensordict import TensorDictBase
-from torchrl.data import Categorical, Composite, TensorSpec, Unbounded
-from torchrl.envs import EnvBase, Transform, TransformedEnv
 
+from racines_data.extras import absent
 from racines_envs.agents.belief.sight import Sight
 from racines_envs.agents.planner import PlannerAgent
 from racines_envs.task.actions import ACTIONS
+
+try:
+    from tensordict import TensorDictBase
+    from torchrl.data import Categorical, Composite, TensorSpec, Unbounded
+    from torchrl.envs import EnvBase, Transform, TransformedEnv
+except ModuleNotFoundError as error:
+    raise absent(str(error.name), "training ppo-belief") from error
 
 SEEN = ("image", "params", "goal")
 TAUGHT = "taught"
