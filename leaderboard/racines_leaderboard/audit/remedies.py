@@ -5,6 +5,7 @@ import re
 import shlex
 from collections.abc import Iterator
 
+from racines_data.errors import RacinesError
 from racines_envs.agents import agent_class
 from racines_envs.evaluation.agent_specs import find_entry
 from racines_leaderboard.audit import weights
@@ -77,8 +78,12 @@ def remedies(record: Record, bench: Bench, report: Report, quick: bool) -> Itera
 
 def _of_view(record: Record, bench: Bench) -> str:
     """Return the options that train an entry for the view of a record, if it learns one alone."""
-    entry = find_entry(bench.settings or {}, weights.run_called(record))
-    if "view" not in {each.name for each in dataclasses.fields(agent_class(entry.agent).Config)}:
+    try:
+        entry = find_entry(bench.settings or {}, weights.run_called(record))
+        config = agent_class(entry.agent).Config
+    except RacinesError:  # an agent that is not installed here: what to train is all that is known
+        return ""
+    if "view" not in {each.name for each in dataclasses.fields(config)}:
         return ""
     return f" --view {record['scores']['task']['view']} --name {shlex.quote(record['name'])}"
 

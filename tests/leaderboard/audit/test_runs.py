@@ -77,3 +77,7 @@ def test_what_learns_a_view_is_trained_again_for_it(bench):
     asked = of_view(row("patient-agents", "ppo-pl", {}, "PL-beating"), bench)
     assert asked == " --view PL-beating --name ppo-pl"
     assert of_view(row("patient-agents", "servo-pl", {}, "PL-beating"), bench) == ""
+
+
+def test_an_agent_that_is_not_here_stops_no_audit(bench):
+    assert of_view(row("patient-agents", "nobody-a4c", {}), bench) == ""
