@@ -202,9 +202,7 @@ def _scores_file(record: Record, path: Path, bench: Bench) -> Iterator[Verdict]:
         return
     if here.get("weights") != record["scores"]["weights"]:
         # As of a training here, where the record is of its half-precision copy.
-        yield told(
-            "scores", f"{path} is of other weights than the record"
-        )
+        yield told("scores", f"{path} is of other weights than the record")
     else:
         reason = f"digest of the scores in the record, and of {path}"
         yield equal("scores", digest_of(record["scores"]), digest_of(here), reason)
