@@ -1,8 +1,10 @@
 """The table of peers: its lines, the file that keeps them, and how it is shown.
 
-A line is one piece of work, done by us and by a peer in the same run. What both gave was compared
-before either was timed; where they cannot be equal, the line says what is. `make bench` measures
-all of them and writes `docs/speed.json`; of a run of a few benchmarks only theirs are replaced.
+A line is one piece of work, done by us and by a peer in the same run, and kept only after what both
+gave was compared: before either is timed, or where that would take as long again (steps, Fréchet
+distance, build), what the timed rounds gave. Where they cannot be equal, the line says what is.
+`make bench` measures all of them and writes `docs/speed.json`; of a run of a few benchmarks only
+theirs are replaced.
 """
 
 import json
