@@ -1,6 +1,7 @@
 """The table of peers: what is kept of a run, and that the peers draw what they should."""
 
 import json
+from functools import partial
 
 import pytest
 import torch
@@ -8,7 +9,7 @@ import torch
 from racines_data.phantom import shared_phantom
 from racines_data.randomness import sample_seeds
 from racines_models.scores.metrics import frechet_distance
-from tests.benchmarks import lines
+from tests.benchmarks import aims, lines
 from tests.benchmarks.lines import Line, line_of
 from tests.benchmarks.peers.convolution import Convolution
 from tests.benchmarks.peers.rays import Rays
@@ -48,6 +49,19 @@ def test_what_is_published_has_machine_date_ratio_and_what_is_equal():
         assert each["equal"] and each["peer"] and each["rounds"] >= 1
         assert each["low"] <= each["ratio"] <= each["high"]
         assert each["measured"]["cpu"] and each["measured"]["date"]
+
+
+def test_an_aim_is_met_missed_or_not_measured():
+    least = partial(aims.Aim, "work", 10.0, "steps/s", "make bench")
+    assert [least(x).met for x in (10.0, 9.9, None)] == ["met", "missed", "not measured"]
+    assert [least(x, most=True).met for x in (10.0, 10.1)] == ["met", "missed"]
+
+
+def test_what_the_benchmarks_measure_reaches_the_aims():
+    """A line of another name would leave its aim without a figure."""
+    found = {aim.command: aim.measured is None for aim in aims.aims()}
+    assert found == {"make bench": False, "make repro": False, aims.BUILD: True}
+    assert all(aim.measured for aim in aims.aims() if aim.command == aims.BENCH)
 
 
 @pytest.mark.slow

@@ -15,6 +15,7 @@ import jsonschema
 from racines_data.errors import RacinesError
 from racines_data.files import write_json
 from racines_models.provenance import code_version, environment
+from tests.benchmarks.gpu.sizes import Sizes
 
 SCHEMA = json.loads(Path(__file__).with_name("schema.json").read_text())
 PACKAGES = ("torch", "torchrl", "tensordict", "gymnasium", "numpy")
@@ -44,7 +45,14 @@ ROWS = (
     ("steps/s, PPO from the image", "ppo", "steps_per_second", "≥ 32,000", ",.0f"),
     ("success of the paper's agent, SC", "agent-SC", "success", "", ".0%"),
     ("its environment steps", "agent-SC", "frames", "15,000,000", ",.0f"),
-    ("images that `vae-gan` learned from", "generator-vae-gan", "images", "10,100,000", ",.0f"),
+    *(
+        (f"success of the paper's agent, {view}", f"agent-{view}", "success", "", ".0%")
+        for view in Sizes.views[1:]
+    ),
+    *(
+        (f"images that `{name}` learned from", f"generator-{name}", "images", "10,100,000", ",.0f")
+        for name in Sizes.generators
+    ),
 )
 """Of the page's table: what, the part and its figure, the aim, and how it is written."""
 
