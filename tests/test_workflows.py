@@ -62,9 +62,10 @@ def test_ci_runs_every_test_once():
     assert [step["run"] for step in steps(read("thorough.yml")) if "run" in step] == [
         "make test-thorough"
     ]
-    assert [step["run"] for step in steps(read("exports.yml")) if "run" in step] == [
-        "make test-exports"
-    ]
+    for kind in ("exports", "clients"):
+        [ran_weekly] = [step["run"] for step in steps(read(f"{kind}.yml")) if "run" in step]
+        assert ran_weekly == f"make test-{kind}"
+        assert "schedule" in triggers(read(f"{kind}.yml"))
     makefile = (ROOT / "Makefile").read_text()
     recipe = r"^{}: .*\n\t\$\(TESTS\) -m (.*)$"
     chosen = {
