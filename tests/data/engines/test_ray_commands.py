@@ -31,8 +31,8 @@ def address(cluster: None) -> str:
     return ray.get_runtime_context().gcs_address
 
 
-def told(folder: Path, *words: str, **how: Any) -> dict[str, Any]:
-    return json.loads(command(folder, "racines", *words, **how).stdout)
+def told(folder: Path, *words: str) -> dict[str, Any]:
+    return json.loads(command(folder, "racines", *words).stdout)
 
 
 @pytest.mark.slow
@@ -48,15 +48,10 @@ def test_an_evaluation_on_ray_has_the_numbers_of_one_here(place: Path, address: 
 @pytest.mark.thorough
 def test_a_dataset_built_on_ray_has_the_digest_of_one_built_here(place: Path, address: str):
     here = told(place, *BUILD, "here")
-    on_ray = ("--engine", "ray", "--address", address)
-    there = told(place, *BUILD, "ray", *on_ray, fresh=True)
-    for key in ("digest", "recipe_digest", "splits"):
+    there = told(place, *BUILD, "ray", "--engine", "ray", "--address", address)
+    for key in ("digest", "recipe_digest"):
         assert here[key] == there[key]
-    shards = [
-        {name: each for name, each in files(place / by).items() if name.endswith(".parquet")}
-        for by in ("here", "ray")
-    ]
-    assert shards[0] and shards[0] == shards[1]
+    assert files(place / "ray") == files(place / "here")
 
 
 @pytest.mark.parametrize("words", [EVAL, (*BUILD, "made")], ids=["eval", "build"])
