@@ -4,7 +4,7 @@ import copy
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import torch
 from torch import Tensor, nn
@@ -19,7 +19,14 @@ from racines_models.generators.learned import NetworkGenerator
 from racines_models.networks.batching import in_fixed_batches
 from racines_models.networks.scale import pixel_side
 from racines_models.networks.scene_field.echo import image_loss
-from racines_models.networks.scouting import NEAR, ScoutNetwork, Scouts, shrink, texture
+from racines_models.networks.scouting import (
+    NEAR,
+    Painted,
+    ScoutNetwork,
+    Scouts,
+    shrink,
+    texture,
+)
 from racines_models.pictures import write_strip
 from racines_models.protocol import Run
 from racines_models.sample import evenly
@@ -154,7 +161,7 @@ class ScoutAttention(NetworkGenerator[ScoutAttentionConfig]):
         assert self.cases is not None
         of_step = self.cases.of(batch.cases)
         truth = batch.images.float() / 255.0
-        painted = nets["painter"](of_step, batch.owner, parameters_to_pose(batch.parameters))
+        painted = self.expect(nets["painter"], of_step, batch)
         ssim, error = image_loss(painted.mean, truth)
         rest = ((truth - painted.mean.detach()) / painted.deviation).square()
         lit = of_step.lit[batch.owner]
@@ -162,7 +169,11 @@ class ScoutAttention(NetworkGenerator[ScoutAttentionConfig]):
         loss = (1.0 - ssim) + 4.0 * error + 0.05 * spread
         yield Update("painter", loss, {"ssim": ssim, "error": error, "spread": spread})
 
-    def adapt(self, images: Tensor, parameters: Tensor, seed: int) -> "ScoutAttention":
+    def expect(self, painter: nn.Module, scouts: Scouts, batch: Episode) -> Painted:
+        """Return the expected images of a step, whose patients' `scouts` are known."""
+        return painter(scouts, batch.owner, parameters_to_pose(batch.parameters))
+
+    def adapt(self, images: Tensor, parameters: Tensor, seed: int) -> Self:
         """Return it with a patient's scout before its eyes (see `Adapting`); nothing is trained."""
         check_scout(images, parameters, self.scout, self.name)
         other = copy.copy(self)
@@ -179,15 +190,20 @@ class ScoutAttention(NetworkGenerator[ScoutAttentionConfig]):
             )
         return self.known, self.frames
 
+    def foresee(self, pose: Pose) -> Painted:
+        """Return the expected images at (B,) poses of the patient that it is adapted to."""
+        scouts, _ = self.met()
+        owner = torch.zeros(len(pose.position), dtype=torch.int64, device=pose.position.device)
+        return self.net("painter")(scouts, owner, pose)
+
     def draw(self, parameters: Tensor, seed: int | Tensor) -> Tensor:
         """Paint (B, 12) poses of the patient that it is adapted to."""
         held, frames = self.met()
-        network = self.net("painter").eval()
+        self.net("painter").eval()
         grains = texture(frames.float() / 255.0) * held.lit if self.config.grain else None
 
         def paint(parameters: Tensor) -> Tensor:
-            owner = torch.zeros(len(parameters), dtype=torch.int64, device=parameters.device)
-            painted = network(held, owner, parameters_to_pose(parameters))
+            painted = self.foresee(parameters_to_pose(parameters))
             image = painted.mean
             if grains is not None:
                 image = image + self.config.grain * painted.deviation * grains[painted.nearest]

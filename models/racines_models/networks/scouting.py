@@ -9,6 +9,7 @@ follows Wang et al., IBRNet: Learning Multi-View Image-Based Rendering, 2021; a 
 is a slice, so the distance from its plane takes the place of the distance along a ray.
 """
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import torch
@@ -68,6 +69,12 @@ class Scouts(NamedTuple):
         poses = Pose(*(each[rows] for each in self.poses))
         return Scouts(self.images[rows], poses, self.lit[rows], self.pixel[rows])
 
+    def without(self, frames: Tensor) -> "Scouts":
+        """Return them without the (S,) bool frames of each."""
+        kept = (~frames).to(self.images.device)
+        poses = Pose(*(each[:, kept] for each in self.poses))
+        return self._replace(images=self.images[:, kept], poses=poses)
+
     def on(self, device: str) -> "Scouts":
         """Return them on a device."""
         held = (each.to(device) for each in (self.images, self.lit, self.pixel))
@@ -109,8 +116,11 @@ class ScoutNetwork(nn.Module):
     cells: Tensor
     fine: Tensor
 
-    def __init__(self, width: int, frames: int) -> None:
-        """Build with `width` channels at 32×32 cells, and so many nearest frames."""
+    def __init__(self, width: int, frames: int, more: int = 0, about: int = 0) -> None:
+        """Build with `width` channels at 32×32 cells, and so many nearest frames.
+
+        The decoder may be told `more` numbers a cell, and so many `about` an image.
+        """
         super().__init__()
         self.frames = frames
         self.score = nn.Sequential(
@@ -118,15 +128,20 @@ class ScoutNetwork(nn.Module):
             nn.Conv2d(24, HEADS * (1 + VALUES), 1),
         )  # fmt: skip
         self.log_off = nn.Parameter(torch.tensor(OFF).log())
-        self.decoder = Decoder(HEADS * (GRAYS + VALUES + 2) + 4, width)
+        self.decoder = Decoder(HEADS * (GRAYS + VALUES + 2) + 4 + more, width, NEAR + 1 + about)
         # In pixels of the full image, from the apex.
         for size, name in ((GRID, "cells"), (SIDE, "fine")):
             middle = (torch.arange(size) + 0.5) * (IMAGE_SIZE / size)
             axial, lateral = torch.meshgrid(middle, middle - IMAGE_SIZE / 2, indexing="ij")
             self.register_buffer(name, torch.stack([lateral, axial]), persistent=False)
 
-    def forward(self, scouts: Scouts, owner: Tensor, pose: Pose) -> Painted:
-        """Paint (B,) poses of the patients that (B,) `owner` names."""
+    def forward(
+        self, scouts: Scouts, owner: Tensor, pose: Pose, more: Sequence[Tensor] = ()
+    ) -> Painted:
+        """Paint (B,) poses of the patients that (B,) `owner` names.
+
+        `more` has the (B, more, 32, 32) and (B, about) numbers that the decoder is told besides.
+        """
         with torch.no_grad():
             seen = self._look(scouts, owner, pose)
         joined, guess = self._attend(seen)
@@ -134,7 +149,8 @@ class ScoutNetwork(nn.Module):
         cells = avg_pool2d(lit.unsqueeze(1), CELL)
         place = (self.cells / IMAGE_SIZE).expand(len(owner), -1, -1, -1)
         about = [seen.distances[:, :NEAR] / 0.02, scouts.pixel[owner, None] / 0.002]
-        change, spread = self.decoder(torch.cat([joined, place, cells], 1), torch.cat(about, 1))
+        found = torch.cat([joined, place, cells, *more[:1]], 1)
+        change, spread = self.decoder(found, torch.cat([*about, *more[1:]], 1))
         guess = guess.repeat_interleave(CELL // FOLD, 2).repeat_interleave(CELL // FOLD, 3)
         mean = (guess + pixel_shuffle(change, CELL)).squeeze(1) * lit
         deviation = softplus(pixel_shuffle(spread, CELL).squeeze(1) - 3.0)
@@ -188,10 +204,10 @@ class ScoutNetwork(nn.Module):
 class Decoder(nn.Module):
     """What was found to the image: two levels of cells, each with convolutions around a skip."""
 
-    def __init__(self, inputs: int, width: int) -> None:
+    def __init__(self, inputs: int, width: int, about: int) -> None:
         super().__init__()
         low, high, embedding = width, 2 * width, 64
-        self.about = nn.Sequential(nn.Linear(NEAR + 1, embedding), nn.SiLU())
+        self.about = nn.Sequential(nn.Linear(about, embedding), nn.SiLU())
         self.enter = nn.Conv2d(inputs, low, 1)
         self.down = Block(low, embedding)
         self.to_high = nn.Conv2d(low, high, 2, stride=2)
