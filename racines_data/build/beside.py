@@ -7,7 +7,6 @@ All other configs keep their bytes and digests. The new one has a source, a vers
 digest of its own, under its name in the manifest, and does not enter those of the dataset.
 """
 
-import dataclasses
 import json
 import shutil
 from collections import Counter
@@ -51,7 +50,7 @@ from racines_data.manifest import (
     store_name,
 )
 from racines_data.schema import SPLITS
-from racines_data.sources.base import labels_of_source, own_card
+from racines_data.sources.base import held_card, labels_of_source, own_card
 from racines_data.sources.gate.bounds import bounds_of
 
 
@@ -226,7 +225,7 @@ def _record(
         "recipe": recipe,
         "labels": list(labels),
         "poses": True,
-        "card": dataclasses.asdict(card) if (card := own_card(source)) else None,
+        "card": held_card(own_card(source)),
         "bounds": None,
         "annotation": None,
         "held_out_session": None,

@@ -25,11 +25,7 @@ from racines_data.engines.local import LocalEngine
 from racines_data.errors import RacinesError
 from racines_data.files import locked_place, recover_folder, swap_folder
 from racines_data.manifest import ADDED, MANIFEST, MULTI_PHANTOM
-from racines_data.sources.base import (
-    Source,
-    source_class,
-    source_names,
-)
+from racines_data.sources.base import Source, held_card, source_class, source_names
 from racines_data.sources.gate.bounds import bounds_of
 from racines_data.sources.licence import declared_card
 
@@ -135,8 +131,7 @@ def build(
     if out.exists() and not (out / MANIFEST).is_file() and (out.is_file() or any(out.iterdir())):
         raise RacinesError(f"{out}: exists and is not a dataset; name another --out or remove it")
     bounds = bounds_of(source, config.allow)
-    card = declared_card(source, config.licence, config.consent)
-    held_card = dataclasses.asdict(card) if card else None
+    card = declared_card(source, config.licence, config.consent, config.origin)
     units = plan_units(source, config)
     many_units = [] if many is None else plan_units(many, config)
     recipe = _recipe(source, config, many)
@@ -156,7 +151,7 @@ def build(
             check_part(each, bounds.allow)
         final = folder / f"final-{config.shards}"  # what is whole there has the same bounds
         manifest = writer.write_dataset(
-            final, main, part, recipe, config.shards, progress, bounds, held_card
+            final, main, part, recipe, config.shards, progress, bounds, held_card(card)
         )
         with locked_place(out):
             beside.carry(out, final, manifest)

@@ -45,6 +45,8 @@ class DataConfig:
     """Licence of recordings, as their user states it at import; empty where none was said."""
     consent: str = ""
     """Statement on consent and review, likewise."""
+    origin: str = ""
+    """Who made the recordings and where they are published, likewise."""
     also: tuple[str, ...] = ()
     """Sources that add a config each once the dataset stands, in order: `patients`, `beating`."""
 

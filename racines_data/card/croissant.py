@@ -32,7 +32,8 @@ from racines_data.manifest import (
 )
 from racines_data.records import features_of
 from racines_data.schema import CONTROLS, PARAMETERS, SPLITS, trajectory_features
-from racines_data.sources.base import manifest_card
+from racines_data.sources.base import PROJECT, maker_of, manifest_card
+from racines_data.sources.licence import credited
 
 _PARQUET = "application/x-parquet"
 _CONFORMS = ("http://mlcommons.org/croissant/1.1", "http://mlcommons.org/croissant/RAI/1.0")
@@ -103,13 +104,15 @@ _MAINTENANCE = (
     "content digest and a recipe digest, and every file a sha256. A fault found is corrected in a "
     "new version and named in the changelog; old versions stay available."
 )
+_MADE = "The developers of RACINES, an open benchmark (Apache-2.0 code)."
+_BROUGHT = "RACINES, an open benchmark, has the tool of the import alone."
 _SHEET = {
     "Motivation": {
         "For what purpose was it made?": "To let image generators and scanning agents for robotic "
         "cardiac ultrasound be trained, scored and compared by anyone: each frame comes with the "
         "probe's pose, force and torque. It follows the RACINES dataset of the paper that "
         "introduced the task.",
-        "Who made it?": "The developers of RACINES, an open benchmark (Apache-2.0 code).",
+        "Who made it?": "{maker}",
         "Is there a model behind the simulated sources?": "Yes: a parametric heart in a gel block, "
         "its acoustics and its contact with a probe, all in `racines_data/phantom`. Only the "
         "source `phantom` is simulated.",
@@ -188,14 +191,33 @@ def write_croissant(manifest: Mapping[str, Any], folder: Path) -> str:
         "license": _URLS.get(license_, license_),
         "version": version,
         "keywords": ["ultrasound", "echocardiography", "robotics", source],
-        "creator": {"@type": "sc:Organization", "name": "The RACINES developers"},
-        "citeAs": f"@misc{{racines-{source}, author = {{{{The RACINES developers}}}}, title = "
-        f"{{RACINES, {source} {version}}}, note = {{content sha256 {manifest['digest']}}}}}",
+        **_credit(manifest),
         **rai_fields(manifest),
         "distribution": [*_file_objects(manifest, folder), *_file_sets(manifest)],
         "recordSet": list(_record_sets(manifest)),
     }
     return json.dumps(document, indent=1, ensure_ascii=False) + "\n"
+
+
+def _credit(manifest: Mapping[str, Any]) -> dict[str, Any]:
+    """Return whom to name and cite: the makers of all configs, who are not those of the import."""
+    configs = ("frames", *added_configs(manifest))
+    makers = dict.fromkeys(maker_of(config_manifest(manifest, config)) for config in configs)
+    named = [credited(maker) for maker in makers]
+    creators = [
+        {"@type": "sc:Organization", "name": name, **({"url": url} if url else {})}
+        for name, url in named
+    ]
+    plain = str.maketrans("{}\\", "()/")  # what BibTeX reads as its own
+    authors = " and ".join(f"{{{name.translate(plain)}}}" for name, _ in named)
+    urls = "".join(f"url = {{{url.translate(plain)}}}, " for _, url in named if url)
+    source, digest = manifest["source"], manifest["digest"]
+    imported = "" if PROJECT in makers else "recordings imported by "
+    cite = (
+        f"@misc{{racines-{source}, author = {{{authors}}}, {urls}title = {{{imported}RACINES, "
+        f"{source} {manifest['version']}}}, note = {{content sha256 {digest}}}}}"
+    )
+    return {"creator": creators[0] if len(creators) == 1 else creators, "citeAs": cite}
 
 
 def rai_fields(manifest: Mapping[str, Any]) -> dict[str, Any]:
@@ -342,6 +364,8 @@ def datasheet(manifest: Mapping[str, Any]) -> str:
         for name, text in rai_fields(manifest).items()
     }
     told |= {**manifest["report"], "instances": instances, "rights": manifest_card(manifest).rights}
+    maker = maker_of(manifest)
+    told["maker"] = _MADE if maker == PROJECT else f"{maker}. {_BROUGHT}"
     told |= {"tag": visible(manifest.get("tag", manifest["version"])).replace("`", "'")}
     return "\n\n".join(
         f"### {title}\n\n"

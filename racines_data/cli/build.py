@@ -95,6 +95,9 @@ def import_(
     consent: Annotated[
         str, typer.Option(help="Statement on consent of those scanned; kept on the card.")
     ] = "",
+    origin: Annotated[
+        str, typer.Option(help='Who made the recordings: "authors, URL"; kept on the card.')
+    ] = "",
     settings: opt.Set = None,
     strict: opt.Strict = False,
     allow: opt.Allow = None,
@@ -114,18 +117,19 @@ def import_(
     """
     from racines_data.build import dataset
     from racines_data.config import section
-    from racines_data.sources.licence import WARNING, asks
+    from racines_data.sources.licence import left_out
 
     values = section(read_settings(params, profile), "data") | given(
         source=source, workers=workers, seed=seed, max_refused=max_refused, strict=strict or None
     )
     values |= given(allow=allow or None, licence=licence or None, consent=consent or None)
+    values |= given(origin=origin or None)
     config, sections = dataset.read_data_section(values)
     own = sections.get(config.source, {}) | overrides(settings)
     own |= given(mapping=mapping, pixel_mm=pixel_mm)
     made = dataset.make_source(config, own, inputs)
-    if asks(made) and not config.licence:
-        say(f"racines: {WARNING}", err=True)
+    if warning := left_out(made, config.licence, config.consent, config.origin):
+        say(f"racines: {warning}", err=True)
     if hasattr(made, "progress"):
         setattr(made, "progress", not as_json)  # noqa: B010
     try:

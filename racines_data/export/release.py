@@ -83,8 +83,10 @@ def export(
     known = "a loader that knows only `Folder 1` to `Folder 3` will not see the others"
     notes = [f"{len(sessions)} sessions: {known}"] if len(sessions) > _KNOWN_FOLDERS else []
     if manifest.get("card"):
-        rights = rights_of(manifest)["rights"].rstrip(".")
+        told = rights_of(manifest)
+        rights, maker = told["rights"].rstrip("."), told["attribution"]
         notes.append(f"licence: {rights}: the layout has no place for it; hand it on beside")
+        notes.append(f"made by: {maker}: the layout has no place for it; hand it on beside")
     return {
         "out": str(out),
         "format": "release",

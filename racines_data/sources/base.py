@@ -11,7 +11,7 @@ dataset is described where that package is not installed.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Protocol, Self, runtime_checkable
 
@@ -28,6 +28,11 @@ SOURCES = Plugins(
     ("name", "version", "Config", "from_config", "recipe", "plan", "produce"),
 )
 _OTHER = "A source of another package; see its documentation."
+PROJECT = "The RACINES developers"
+"""Who made what this project's own sources simulate."""
+NOT_TOLD = "unknown (not told)"
+"""Stands where a name would, of recordings whose makers nobody told."""
+_SIMULATED = ("phantom", "patients", "beating")
 
 
 @dataclass(frozen=True)
@@ -165,6 +170,8 @@ class SourceCard:
     """Whether there is personal information."""
     limits: str = "See the source."
     """What limits the use, on the card."""
+    attribution: str = ""
+    """Who made the frames, and where they are published; empty where nobody told."""
 
 
 def manifest_card(manifest: Mapping[str, Any]) -> SourceCard:
@@ -182,10 +189,27 @@ def manifest_card(manifest: Mapping[str, Any]) -> SourceCard:
         return SourceCard()
 
 
-def rights_of(manifest: Mapping[str, Any]) -> dict[str, str]:
-    """Return licence, rights and what is said of persons: what every export carries."""
+def held_card(card: SourceCard | None) -> dict[str, Any] | None:
+    """Return a card as a manifest holds it; without attribution where nobody told one."""
+    return card and {key: value for key, value in asdict(card).items()
+                     if value or key != "attribution"}  # fmt: skip
+
+
+def maker_of(manifest: Mapping[str, Any]) -> str:
+    """Return who made the frames: whom the card names, this project for what it simulates itself.
+
+    Recordings are never the project's: where nobody told whose they are, that is what is said.
+    """
     card = manifest_card(manifest)
-    return {"license": card.license, "rights": card.rights, "personal": card.personal}
+    own = card.simulated and manifest["source"] in _SIMULATED
+    return card.attribution or (PROJECT if own else NOT_TOLD)
+
+
+def rights_of(manifest: Mapping[str, Any]) -> dict[str, str]:
+    """Return licence, rights, maker and what is said of persons: what every export carries."""
+    card = manifest_card(manifest)
+    rights = {"license": card.license, "rights": card.rights, "personal": card.personal}
+    return rights | {"attribution": maker_of(manifest)}
 
 
 def own_card(source: Any) -> SourceCard | None:

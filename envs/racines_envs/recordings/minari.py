@@ -55,7 +55,8 @@ from racines_data.phantom.pacing import FREE, joint_count, recorded_joints, reco
 from racines_data.progress import progress_bar
 from racines_data.records import float_columns
 from racines_data.schema import CONTROLS, PARAMETERS, PHASES
-from racines_data.sources.base import rights_of
+from racines_data.sources.base import maker_of, rights_of
+from racines_data.sources.licence import credited
 from racines_data.store.sweeps import Sweep, new_folder, read_sweeps
 from racines_envs.task.names import task_id
 from racines_envs.task.rewards import ORACLE, RewardConfig, Score, is_hit
@@ -278,7 +279,7 @@ def _write_metadata(
         "observation_space": json.dumps(spaces),
         "action_space": json.dumps(action),
         "dataset_size": round(size / 1e6, 1),
-        "author": ["The RACINES developers"],
+        "author": [credited(maker_of(manifest))[0]],
         "algorithm_name": "recorded sweeps",
         "description": told,
         "racines": {key: manifest[key] for key in ("source", "version", "digest", "recipe_digest")}

@@ -350,7 +350,8 @@ def _write_meta(
     path.parent.mkdir(parents=True)
     pq.write_table(pa.Table.from_pylist(writer.episodes), path)
     (folder / "README.md").write_text(
-        _card(describe(manifest, config), info, writer.shown), encoding="utf-8"
+        _card(describe(manifest, config), info, writer.shown, about["attribution"]),
+        encoding="utf-8",
     )
     return info
 
@@ -377,14 +378,15 @@ def _aims(episodes: list[dict[str, Any]]) -> dict[str, dict[str, list[int]]]:
     return found
 
 
-def _card(described: str, info: Mapping[str, Any], shown: Shown) -> str:
+def _card(described: str, info: Mapping[str, Any], shown: Shown, maker: str) -> str:
     return (
         "---\ntags: [LeRobot, ultrasound, robotics]\ntask_categories: [robotics]\n"
         'configs:\n- config_name: default\n  data_files: "data/*/*.parquet"\n---\n'
         f"**RACINES, {escape(described)}.**\n\n"
         f"LeRobot v3.0: {info['total_episodes']} episodes, "
         f"{info['total_frames']} frames at {info['fps']} per second; splits as ranges of episodes: "
-        f"{json.dumps(info['splits'])}.\n\n{shown.told} Images have one channel, or three equal "
+        f"{json.dumps(info['splits'])}.\n\nMade by: {escape(maker)}.\n\n"
+        f"{shown.told} Images have one channel, or three equal "
         "ones (`--format lerobot-rgb` or `lerobot-task`), which policies such as ACT want.\n\n"
         "Research data, not for clinical use.\n"
     )

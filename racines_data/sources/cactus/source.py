@@ -206,6 +206,7 @@ CARD = SourceCard(
     personal="None: images of a manufactured phantom.",
     limits="A manufactured phantom, not a patient. There are no poses, forces or times; runs of "
     "files stand as trajectories, and frames on both sides of a cut may be neighbours.",
+    attribution="The authors of CACTUS, https://doi.org/10.20383/103.01484",
 )
 
 

@@ -11,7 +11,11 @@ import pytest
 import racines_data
 from racines_data.build.dataset import DataConfig, build
 from racines_data.schema import PARAMETERS
+from racines_data.sources.base import NOT_TOLD, PROJECT
+from racines_data.sources.rotation.source import RotationSource
 from tests.data.fake_source import FakeConfig, FakeSource
+from tests.data.sources.rotation_folder import PHASES, TURNS, write_rotation
+from tests.data.sources.table_folder import COUNT, ROBOT, changed, source, synthetic_folder
 
 RAI = ("dataCollection", "dataBiases", "dataLimitations", "dataUseCases", "dataSocialImpact")
 RAI_MORE = ("personalSensitiveInformation", "dataReleaseMaintenancePlan", "dataAnnotationProtocol")
@@ -106,3 +110,40 @@ def test_the_manifest_seals_it_and_builds_agree(built: Path, tmp_path: Path):
     assert record == {"sha256": hashlib.sha256(content).hexdigest(), "bytes": len(content)}
     build(FakeSource(FakeConfig()), tmp_path / "again", DataConfig(workers=1))
     assert (tmp_path / "again" / "croissant.json").read_bytes() == content
+
+
+@pytest.mark.parametrize("kind", ["rotation", "table"])
+@pytest.mark.parametrize("origin", ["A. Doe, B. Roe, https://x.org/a", ""])
+def test_an_imported_set_is_valid_and_credits_its_makers(kind: str, origin: str, tmp_path: Path):
+    """Never this project, which has made none of it; its name stands on what it simulates."""
+    said = DataConfig(source=kind, workers=1, licence="MIT", consent="written", origin=origin)
+    if kind == "rotation":
+        made, frames = (
+            RotationSource.from_config({}, [write_rotation(tmp_path / "in")]),
+            TURNS * PHASES,
+        )
+    else:
+        made, frames = source(synthetic_folder(tmp_path / "in"), changed(ROBOT, segments=5)), COUNT
+    build(made, tmp_path / "out", said)
+    described = mlcroissant.Dataset(str(tmp_path / "out" / "croissant.json"))
+    assert not described.metadata.ctx.issues.errors
+    assert all("datePublished" in each for each in described.metadata.ctx.issues.warnings)
+    (creator,) = described.metadata.creators
+    name, url = ("A. Doe, B. Roe", "https://x.org/a") if origin else (NOT_TOLD, None)
+    assert (creator.name, creator.url) == (name, url)
+    cited = described.metadata.cite_as or ""
+    assert f"author = {{{{{name}}}}}" in cited and "recordings imported by RACINES" in cited
+    assert (
+        f"Origin, as declared at import: {origin}" in described.metadata.data_collection
+        or not origin
+    )
+    assert "developers" not in (tmp_path / "out" / "croissant.json").read_text()
+    assert len(list(described.records("frames"))) == frames
+
+
+def test_what_is_simulated_has_the_projects_name(tiny_root: Path):
+    document = json.loads((tiny_root / "croissant.json").read_text())
+    assert document["creator"] == {"@type": "sc:Organization", "name": PROJECT}
+    assert document["citeAs"].startswith(
+        "@misc{racines-phantom, author = {{The RACINES developers}}, title = {RACINES, phantom "
+    )
