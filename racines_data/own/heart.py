@@ -9,7 +9,6 @@ that it lacks is never seen in it.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -28,7 +27,7 @@ from racines_data.patients.patient import Form, Patient
 from racines_data.patients.placement import BEYOND, SURFACE, lay
 from racines_data.patients.volume import VOXEL, centres
 from racines_data.phantom.anatomy import ViewSpec
-from racines_data.phantom.saved import find_saved, read_saved
+from racines_data.phantom.saved import Saved, provenance_of, read_saved, saved_folder
 from racines_data.phantom.truth import nominal_pose
 from racines_data.views import VIEWS
 
@@ -88,22 +87,35 @@ def open_heart(name: str) -> OwnHeart:
     Raises:
         RacinesError: no such phantom, or one that is no heart.
     """
-    folder = find_saved(name)
+    return _heart_of(_saved(name))
+
+
+def heart_provenance(name: str) -> dict[str, Any]:
+    """Return what records say of a heart of one's own.
+
+    Raises:
+        RacinesError: no such phantom.
+    """
+    return provenance_of(_saved(name).told)
+
+
+def _saved(name: str) -> Saved:
+    # Among patients no built-in anatomy is meant: one may call its folder "heart".
+    folder = saved_folder(name)
     if folder is None:
         raise RacinesError(
             f"phantom {name!r}: no such folder, here or in data/phantoms: make one with "
             "racines phantom from-mesh"
         )
-    return _read_heart(folder)
+    return read_saved(folder)
 
 
-def _read_heart(folder: Path) -> OwnHeart:
-    saved = read_saved(folder)
+def _heart_of(saved: Saved) -> OwnHeart:
     told = saved.told
     if told["heart"] is None:
         raise RacinesError(
-            f"{folder}: has no section heart, so it lies in the block and not among patients: "
-            "leave out --tier, and name it as the phantom's anatomy"
+            f"{saved.folder}: has no section heart, so it lies in the block and not among "
+            "patients: leave out --tier, and name it as the phantom's anatomy"
         )
     table = torch.zeros(len(told["parts"]) + 1, dtype=torch.uint8)
     for number, part in enumerate(told["parts"], 1):

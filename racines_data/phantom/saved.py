@@ -62,8 +62,15 @@ def find_saved(name: str) -> Path | None:
     Raises:
         RacinesError: a path that leads to no such folder.
     """
-    if name in ANATOMIES.names():
-        return None
+    return None if name in ANATOMIES.names() else saved_folder(name)
+
+
+def saved_folder(name: str) -> Path | None:
+    """Return the folder of a phantom of one's own by its path or name; None where there is none.
+
+    Raises:
+        RacinesError: a path that leads to no such folder.
+    """
     for folder in (Path(name), FOLDER / name):
         if (folder / TOLD).is_file():
             return folder

@@ -24,7 +24,7 @@ from torch import Tensor
 from racines_data.config import fill
 from racines_data.errors import RacinesError
 from racines_data.geometry import Pose, euler_to_matrix
-from racines_data.own.heart import open_heart
+from racines_data.own.heart import heart_provenance, open_heart
 from racines_data.own.pool import make_pool
 from racines_data.patients.chest import sway_of
 from racines_data.patients.labels import LABELS as MASK_LABELS
@@ -47,7 +47,6 @@ from racines_data.phantom.acquisition import (
 )
 from racines_data.phantom.config import PhantomConfig
 from racines_data.phantom.pacing import FREE, first_followed, joint_count, joints_of
-from racines_data.phantom.saved import provenance
 from racines_data.randomness import derive, sample_seeds, uniform
 from racines_data.schema import Trajectory
 from racines_data.sources.base import Finding, SourceCard, Unit, card_with
@@ -165,7 +164,7 @@ class PatientsSource:
 
     def _own(self) -> dict[str, Any] | None:
         """Return what records say of the heart that all have; None where each has an own one."""
-        return provenance(self.config.phantom) if self.config.phantom else None
+        return heart_provenance(self.config.phantom) if self.config.phantom else None
 
     def seeds(self, split: str) -> tuple[int, ...]:
         """Return the patients of a split, in order.

@@ -17,10 +17,10 @@ from racines_data.digest import recipe_digest
 from racines_data.engines import Engine
 from racines_data.engines.local import LocalEngine
 from racines_data.errors import RacinesError
+from racines_data.own.heart import heart_provenance
 from racines_data.patients.patient import PATHOLOGIES
 from racines_data.patients.pool import check_memory
 from racines_data.patients.population import draw_patient
-from racines_data.phantom.saved import provenance
 from racines_envs.agents import learns, load_agent
 from racines_envs.agents.protocol import FILES, Agent
 from racines_envs.agents.rollout import Episodes, rollout
@@ -131,7 +131,7 @@ class StartSet(NamedTuple):
         told |= {"starts": self.starts, "seeds": [self.seed]}
         rule = {"task": config.task.definition, "middles": MIDDLES, "seeds": self.seeds.tolist()}
         if config.phantom:  # another world: no start set of a board
-            rule |= {"phantom": (provenance(config.phantom) or {}).get("digest")}
+            rule |= {"phantom": heart_provenance(config.phantom)["digest"]}
         return told | {"digest": recipe_digest(rule | {"patients": list(self.patients)})}
 
 
@@ -181,7 +181,7 @@ def evaluate_patients(
 
 def world_of(config: PatientsConfig) -> dict[str, Any]:
     """Return what scores say of the world that settings name."""
-    own = provenance(config.phantom) if config.phantom else None
+    own = heart_provenance(config.phantom) if config.phantom else None
     return patients_recipe(config.task.tier, own)
 
 
