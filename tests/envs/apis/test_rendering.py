@@ -1,11 +1,19 @@
 """The picture of an episode."""
 
+import gymnasium
 import numpy as np
 import pytest
 import torch
+from PIL import Image, ImageColor, ImageSequence
 
+from racines_data.plotting import PALE
 from racines_envs.apis.rendering import IMAGE, History, compose, describe
+from racines_envs.recordings import EpisodeRecorder
+from racines_envs.robots.following import ArmRobot
 from racines_envs.worlds.making import make_core
+
+BLOCK = (slice(0, 318), slice(IMAGE + 2, None))
+"""The views of the block in a picture."""
 
 
 @pytest.fixture
@@ -90,3 +98,42 @@ def test_recordings_in_the_place_of_a_phantom_are_drawn_too(tiny_root):
     history.note(core)
     assert compose(core, 0, history).shape == (540, 960, 3)
     assert ("recorded" in describe(core, 0, history[0])[-1]) == bool(core.info()["out_of_support"])
+
+
+def limbs(picture: np.ndarray) -> int:
+    """Count the pixels of the views that have the arm's colour and such neighbours all around.
+
+    The workspace has the same colour, but lines of one pixel.
+    """
+    off = np.abs(picture[BLOCK].astype(int) - ImageColor.getrgb(PALE)).max(-1)
+    rows, columns = (slice(1, -1), slice(2, None), slice(None, -2)), off < 12
+    return int(np.all([columns[down, across] for down in rows for across in rows], 0).sum())
+
+
+def test_an_arm_is_drawn_in_the_picture_and_in_every_frame_of_the_video(phantom, tmp_path):
+    pytest.importorskip("pytorch_kinematics")
+    made = {"phantom": phantom, "observation": "params", "reward": "oracle"}
+    free = make_core("SC", 1, **made)
+    free.reset(seed=3)
+    assert limbs(compose(free)) == 0
+    env = gymnasium.make(
+        "racines_envs:racines/SC-v0", **made, robot="ur5e", render_mode="rgb_array"
+    )
+    recorder = EpisodeRecorder(env, tmp_path)
+    recorder.reset(seed=3)
+    core = env.unwrapped.core
+    assert isinstance(core.robot, ArmRobot)
+    picture = compose(core)
+    assert limbs(picture) > 500
+    np.testing.assert_array_equal(picture[BLOCK], env.render()[BLOCK])
+    joints = core.state.joints.clone()
+    core.state.joints[:] = joints + 0.3
+    moved = compose(core)
+    core.state.joints[:] = joints
+    assert limbs(moved) > 500 and (moved[BLOCK] != picture[BLOCK]).any()  # drawn as it stands
+    for action in (0, 2, 4):
+        recorder.step(action)
+    recorder.close()
+    with Image.open(recorder.written[0].with_suffix(".gif")) as video:
+        frames = [np.asarray(each.convert("RGB")) for each in ImageSequence.Iterator(video)]
+    assert len(frames) == 4 and min(map(limbs, frames)) > 500
