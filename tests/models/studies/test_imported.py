@@ -8,14 +8,17 @@ import torch
 from torch import Tensor
 from typer.testing import CliRunner
 
+from racines_data.build.dataset import DataConfig, build
 from racines_data.errors import RacinesError
 from racines_data.geometry import Pose, parameters_to_pose
+from racines_data.sources.rotation.source import RotationSource
 from racines_data.store.frames import open_store
 from racines_leaderboard.cli.command import app
 from racines_models.protocol import Judge
 from racines_models.studies.sim_to_real import imported
 from racines_models.studies.sim_to_real.imported import FEWEST, MOVED, measure_imported
 from racines_models.studies.sim_to_real.imported_sheet import sheet, told_rows
+from tests.data.sources.rotation_folder import PHASES, TURNS, write_rotation
 
 
 class Knows(Judge):
@@ -81,6 +84,29 @@ def test_a_set_of_unknown_scale_tells_no_millimetres(store):
     pose = parameters_to_pose(store.parameters)
     told = measure_imported(store, pose=Reads(pose)).content["motion"]
     assert "shift_mm" not in told and told["angle_deg"]["correlation"] > 0.999
+
+
+def test_turns_are_paired_with_one_another_at_one_phase(tmp_path, monkeypatch):
+    """Each turn is a trajectory of one pose, in which nothing moves but the heart."""
+    source = RotationSource.from_config({}, [write_rotation(tmp_path / "in")])
+    build(source, tmp_path / "turns", DataConfig(workers=1, shards=1))
+    store = open_store(tmp_path / "turns")
+    asked = []
+
+    def pairs(pose, known, group):
+        asked.extend([group, found := by_group(pose, known, group)])
+        return found
+
+    by_group = imported._pairs
+    monkeypatch.setattr(imported, "_pairs", pairs)
+    told = measure_imported(store, pose=Reads(parameters_to_pose(store.parameters)))
+    group, (first, second) = asked
+    assert len(group.unique()) == PHASES and torch.equal(group[first], group[second])
+    assert torch.equal(store.phases[first, 0], store.phases[second, 0])
+    assert (store.trajectory_index[first] != store.trajectory_index[second]).all()
+    motion = told.content["motion"]
+    assert motion["pairs"] == len(first) > TURNS * PHASES / 2 and "turns" in motion["paired"]
+    assert motion["angle_deg"]["correlation"] > 0.999 and "shift_mm" not in motion
 
 
 def test_a_sheet_and_rows_tell_it(store):

@@ -6,7 +6,8 @@
 
 All judges saw simulated patients alone, and nothing is chosen here. A regressor of patients reads a
 pose about the heart, recordings know it in their tracker's frame: what both know is the motion from
-one frame to another.
+one frame to another. Frames are paired within a sweep. A turn about the apex is a trajectory of one
+pose, and all turns of a recording share one frame: there, frames of one phase are paired.
 """
 
 import time
@@ -18,7 +19,7 @@ from torch import Tensor
 
 from racines_data.errors import RacinesError
 from racines_data.geometry import Pose, geodesic, parameters_to_pose
-from racines_data.manifest import scale_known
+from racines_data.manifest import is_turned, scale_known
 from racines_data.store.frames import FrameStore
 from racines_models.judges.pose.regressor import PoseRegressor
 from racines_models.protocol import Judge
@@ -136,11 +137,12 @@ def _motion(
     """Return how far the motion that is read agrees with the recorded one, in angle and shift."""
     recorded = parameters_to_pose(store.parameters[rows].double())
     known = torch.isfinite(recorded.position).all(1) & torch.isfinite(recorded.rotation).all((1, 2))
-    first, second = _pairs(recorded, known, store.trajectory_index[rows])
+    first, second = _pairs(recorded, known, _comparable(store, rows))
     if len(first) < FEWEST:
         return {"pairs": len(first), "told": "too few pairs of frames with poses that turned"}
     read = regressor.predict(images)
     told: dict[str, Any] = {"pairs": len(first), "moved_at_least_deg": MOVED}
+    told["paired"] = "turns, at one phase" if is_turned(store.manifest) else "within a trajectory"
     angles = [geodesic(p.rotation[first].double(), p.rotation[second].double()).cpu().numpy()
               for p in (recorded, read)]  # fmt: skip
     told["angle_deg"] = _agreement(*(np.degrees(each) for each in angles))
@@ -151,12 +153,23 @@ def _motion(
     return told
 
 
-def _pairs(pose: Pose, known: Tensor, trajectory: Tensor) -> tuple[Tensor, Tensor]:
-    """Return the rows of pairs: each frame, and the first after it in its sweep that has turned."""
+def _comparable(store: FrameStore, rows: Tensor) -> Tensor:
+    """Return (N,) numbers of groups: frames of one have poses in one frame, and one phase."""
+    if not is_turned(store.manifest) or store.phases is None:
+        return store.trajectory_index[rows]
+    names = sorted(set(store.sessions))
+    sessions = torch.tensor([names.index(each) for each in store.sessions])
+    phases = torch.nan_to_num(store.phases[rows, 0])  # of still frames there is none
+    keys = torch.stack([sessions[store.trajectory_index[rows]].double(), phases.round(decimals=6)])
+    return keys.unique(dim=1, return_inverse=True)[1]
+
+
+def _pairs(pose: Pose, known: Tensor, group: Tensor) -> tuple[Tensor, Tensor]:
+    """Return the rows of pairs: each frame, and the first after it in its group that has turned."""
     first, second = [], []
     for row in known.nonzero()[:, 0].tolist():
         later = torch.arange(row + 1, len(known))
-        later = later[(trajectory[later] == trajectory[row]) & known[later]]
+        later = later[(group[later] == group[row]) & known[later]]
         if len(later):
             turned = geodesic(pose.rotation[row].expand(len(later), 3, 3), pose.rotation[later])
             far = (torch.rad2deg(turned) >= MOVED).nonzero()
