@@ -1,8 +1,14 @@
 """Sweeps with poses, of any dataset: the images that an estimator is shown, and what is true.
 
-Simulated patients, tracked sweeps and the phantom alike: a trajectory is a sweep. Poses that were
-not recorded cannot be judged, and a probe that rests has no motion to estimate (turns about an apex
-are recorded so, one pose a trajectory): such sweeps are left out and counted.
+Simulated patients, tracked sweeps and the phantom alike: a trajectory is a sweep. Turns about an
+apex are recorded one pose a trajectory, all phases of the beat at each; there a sweep is a split's
+turns, or all turns, in the order of the file, at one phase:
+
+    frames of turns     0.0 0.1 0.2 | 1.0 1.1 1.2 | 4.0 4.1 4.2        TURN.PHASE
+    sweeps              (0.0 1.0 4.0) (0.1 1.1 4.1) (0.2 1.2 4.2)
+
+Poses that were not recorded cannot be judged, and a probe that rests has no motion to estimate:
+such sweeps are left out and counted.
 """
 
 from dataclasses import dataclass
@@ -15,6 +21,7 @@ from torch import Tensor
 
 from racines_data.errors import RacinesError
 from racines_data.geometry import Pose, parameters_to_pose
+from racines_data.manifest import scale_known
 from racines_data.schema import SPLITS
 from racines_data.store.frames import FrameStore
 from racines_models.provenance import dataset_card, sha256_bytes
@@ -45,7 +52,7 @@ class Sweep:
     rows: Tensor
     """(T,) of the store."""
     number: int
-    """Its trajectory's place in the store."""
+    """Its trajectory's place in the store; of a sweep over turns, its first row."""
     unit: int
     """What was drawn independently: the patient, the recording, or the trajectory."""
     pose: Pose
@@ -72,7 +79,7 @@ class SweepSet:
             RacinesError: no sweep has all its poses and a probe that moves.
         """
         self.store, self.card = store, dataset_card(store) | {"config": store.config}
-        self.metric = (store.manifest.get("scale") or "metres") == "metres"
+        self.metric = scale_known(store.manifest)
         """Whether positions are metres."""
         self._units = _units(store)
         pose = parameters_to_pose(store.parameters.double())
@@ -87,9 +94,11 @@ class SweepSet:
         """Sweeps of each split that lack a pose, or whose probe rests."""
         self._rows: dict[str, list[Tensor]] = {}
         for split in SPLITS:
-            every = _by_trajectory(store, split)
+            every = _by_trajectory(store, split) if store.turns is None else _by_phase(store, split)
             kept = [each for each in every if moves(each)]
             self._rows[split], self.left_out[split] = kept, len(every) - len(kept)
+        if store.turns is not None:  # a split breaks their order
+            self._rows[EVERY] = [each for each in _by_phase(store, *SPLITS) if moves(each)]
         if not any(self._rows.values()):
             raise RacinesError(
                 f"{store.root}: config {store.config} has no sweep whose frames all have poses and "
@@ -114,7 +123,8 @@ class SweepSet:
             raise RacinesError(
                 f"unknown split {split!r}: choose one of {', '.join(SPLITS)} or {EVERY}"
             )
-        found = [each for name in SPLITS if split in (name, EVERY) for each in self._rows[name]]
+        names = (split,) if split in self._rows else SPLITS
+        found = [each for name in names for each in self._rows[name]]
         if not found:
             raise RacinesError(
                 f"{self.store.root}: split {split} has no sweep with poses: choose another --split"
@@ -125,10 +135,13 @@ class SweepSet:
         """Return the sweeps of a split; raises as `rows`."""
         found = []
         for rows in self.rows(split):
-            number = int(self.store.trajectory_index[rows[0]])
+            trajectory = int(self.store.trajectory_index[rows[0]])
+            name, number = self.store.trajectories[trajectory], trajectory
+            if self.store.turns is not None:
+                name, number = f"{name}-phase-{int(self.store.frame[rows[0]])}", int(rows[0])
             planes = planes_of(self.store, rows[:1]) if self.metric else None
             pose = Pose(self._pose.position[rows], self._pose.rotation[rows])
-            name, unit = self.store.trajectories[number], int(self._units[number])
+            unit = int(self._units[trajectory])
             plane = None if planes is None else planes[0]
             found.append(Sweep(name, rows, number, unit, pose, plane))
         return found
@@ -142,7 +155,7 @@ class SweepSet:
     def steps(self, split: str) -> tuple[Tensor, Tensor]:
         """Return the (N,) rows of all frames but the first ones of a split, and (N, 6) motions.
 
-        These are from the frame before, which is the row before: m and rad, float64.
+        These are from the frame before in the sweep: m and rad, float64.
         """
         sweeps = self.sweeps(split)
         motions = torch.cat([to_vectors(each.motion.to_previous[1:]) for each in sweeps])
@@ -161,6 +174,22 @@ def _by_trajectory(store: FrameStore, split: str) -> list[Tensor]:
         return []
     counts = store.trajectory_index[rows].unique_consecutive(return_counts=True)[1]
     return list(rows.split(counts.tolist()))
+
+
+def _by_phase(store: FrameStore, *splits: str) -> list[Tensor]:
+    """Return the rows of the turns of splits at each phase, recording by recording."""
+    rows = torch.cat([torch.as_tensor(store.split_indices(split)) for split in splits])
+    found: dict[tuple[str, int], list[int]] = {}
+    for row, frame in zip(rows.tolist(), store.frame[rows].tolist(), strict=True):
+        session = store.sessions[int(store.trajectory_index[row])]
+        found.setdefault((session, frame), []).append(row)
+
+    def place(row: int) -> tuple[int, str]:
+        """Put a turn by its number in the file, with which its name ends."""
+        name = store.trajectories[int(store.trajectory_index[row])]
+        return len(name), name
+
+    return [torch.tensor(sorted(each, key=place)) for each in found.values()]
 
 
 def _units(store: FrameStore) -> np.ndarray:

@@ -48,13 +48,17 @@ class Pairs:
         self._store, self._window = sweeps.store, window
         count = len(sweeps.store.parameters)
         self._motions, self._first = torch.zeros(count, 6), torch.zeros(count, dtype=torch.int64)
+        # Frames of a sweep need not lie side by side in the store: windows are taken among places.
+        self._place, self._at = torch.zeros(count, dtype=torch.int64), torch.arange(0)
         self._rows = {name: torch.zeros(0, dtype=torch.int64) for name in SPLITS}
         for split in SPLITS:
             if sweeps.count(split):
                 self._rows[split], motions = sweeps.steps(split)
                 self._motions[self._rows[split]] = motions.float()
                 for each in sweeps.rows(split):
-                    self._first[each] = each[0]
+                    self._first[each] = len(self._at)
+                    self._place[each] = len(self._at) + torch.arange(len(each))
+                    self._at = torch.cat([self._at, each])
 
     def split_indices(self, split: str) -> Tensor:
         """Return the (n,) rows of the frames that moved."""
@@ -66,8 +70,8 @@ class Pairs:
 
     def take(self, rows: Tensor, seeds: Tensor) -> PairBatch:
         """Return the windows that end at (B,) rows."""
-        places = windows(rows, self._window, self._first[rows])
-        images = self._store.take(places.flatten()).images.view(*places.shape, 128, 128)
+        places = windows(self._place[rows], self._window, self._first[rows])
+        images = self._store.take(self._at[places.flatten()]).images.view(*places.shape, 128, 128)
         return PairBatch(images, self._motions[rows], seeds)
 
 
@@ -77,6 +81,11 @@ class PairLearner(Course):
     name = "pair-cnn"
 
     def __init__(self, sweeps: SweepSet, config: PairConfig, run: Run) -> None:
+        if not sweeps.metric:
+            raise RacinesError(
+                f"pair-cnn: {sweeps.store.root}: positions of these data have no metres, which it "
+                "learns to tell: import them with their scale"
+            )
         self.pairs, self.config, self.device = Pairs(sweeps, config.window), config, run.device
         rows = self.pairs.split_indices("train")
         if not len(rows):
