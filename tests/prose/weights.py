@@ -25,7 +25,7 @@ GROUPS = {
     "models/weights/student": "the same, at a fraction of the time",
     "models/weights/pose": "the pose of one heart's pictures: the judge of its boards",
     "models/weights/encoder": "what one heart's policies see pictures through, a file for all",
-    "models/weights/patients/*": "generator that adapts to a patient, three trainings",
+    "models/weights/patients/*": "generators that adapt to a patient, three trainings each",
     "models/weights/phantom-patients/*": "judges of patients: grader, pose, segmentation",
     "models/weights/scene-field": "generator, reference profile",
     "models/weights/flow": "generator, reference profile",

@@ -1,5 +1,6 @@
 """The picture of a generator that adapts: what it was shown of patients, what is true, its own."""
 
+from collections.abc import Mapping
 from pathlib import Path
 
 from torch import Tensor
@@ -19,16 +20,17 @@ EDGE, STEP, MARGIN, HEAD, GAP = 1.2, 1.23, 0.82, 0.42, 0.14
 """Inches: an image, from one to the next, the names aside, those above, between patients."""
 
 
-def write_adapted(path: Path, asked: AskedStore, drawn: Tensor) -> None:
+def write_adapted(path: Path, asked: AskedStore, drawn: Mapping[str, Tensor]) -> None:
     """Write a PNG of some patients: frames of the scout, true frames near to far, and drawn ones.
 
     Args:
         path: to write.
         asked: patients, their scouts and the true frames.
-        drawn: (P · 32, 128, 128) uint8, in the order of `asked`.
+        drawn: by the name of its row, (P · 32, 128, 128) uint8 in the order of `asked`.
     """
     some, patients = evenly(POSES, COLUMNS), (asked.patients or [])[:SHOWN]
-    height = HEAD + len(patients) * (3 * STEP + GAP)
+    block = (2 + len(drawn)) * STEP + GAP
+    height = HEAD + len(patients) * block
     with card_style():
         figure, axis = sheet(MARGIN + COLUMNS * STEP, height)
         middle = MARGIN + COLUMNS * STEP / 2
@@ -38,13 +40,13 @@ def write_adapted(path: Path, asked: AskedStore, drawn: Tensor) -> None:
             left = MARGIN + column * STEP + EDGE / 2
             axis.text(left, HEAD - 0.05, strata_names()[stratum], ha="center", va="bottom")
         for number, patient in enumerate(patients):
-            top = HEAD + number * (3 * STEP + GAP)
+            top = HEAD + number * block
             mm = float(make_heart(draw_patient(patient), beating=False).settings.pixel_size())
             frames = slice(number * POSES, (number + 1) * POSES)
             rows = {
                 "scout": asked.scouts[number][evenly(FRAMES, COLUMNS)],
                 "true": asked.images[frames][some],
-                "drawn": drawn[frames][some],
+                **{name: images[frames][some] for name, images in drawn.items()},
             }
             for line, (name, images) in enumerate(rows.items()):
                 y = top + line * STEP

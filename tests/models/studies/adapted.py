@@ -11,6 +11,8 @@ from pathlib import Path
 from typing import Any
 
 from racines_data.files import write_json
+from racines_models.statistics import Evidence
+from racines_models.statistics.intervals import difference
 from tests.models.studies.judged import number
 
 OUT = Path(__file__).parents[3] / "docs/results/patient-generators.json"
@@ -20,7 +22,13 @@ METRICS = {
     "pose_error_mm": ("pose error, mm", 1), "pose_error_deg": ("pose error, °", 1),
     "dice": ("Dice", 3),
 }  # fmt: skip
-ORDER = ("mean-image", "nearest-pose", "scout-attention", "noise-ceiling")
+ORDER = ("mean-image", "nearest-pose", "scout-attention", "scout-field", "noise-ceiling")
+AHEAD = (
+    ("scout-field", "nearest-pose"), ("scout-attention", "nearest-pose"),
+    ("scout-field", "scout-attention"),
+)  # fmt: skip
+"""Who is compared with whom, patient by patient."""
+COMPARED = ("ssim", "psnr", "kid", "pose_error_mm", "dice")
 ONE_HEART = ("vae-gan", "cgan", "flow", "scene-field")
 """Trained on the one heart: they ignore the patient."""
 
@@ -40,7 +48,10 @@ def main(machine: str) -> None:
     trainings = {each["generator"]: each["runs"] for each in found + ignoring if each["trained"]}
     heart = [[f"`{each['generator']}`", str(each["runs"]), *_figures(each["metrics"])]
              for each in (*ignoring, found[0], found[1])]  # fmt: skip
-    adapting = found[ORDER.index("scout-attention")]["metrics"]["seconds_to_adapt"]["value"]
+    seconds = {
+        name: round(found[ORDER.index(name)]["metrics"]["seconds_to_adapt"]["value"], 2)
+        for name in ("scout-attention", "scout-field")
+    }
     told = {
         "schema": "racines.figures/1",
         "what": f"generators on {units} {split} patients, {n} poses; trainings: {trainings}",
@@ -50,9 +61,13 @@ def main(machine: str) -> None:
         "python -m tests.models.studies.adapted MACHINE",
         "machine": machine,
         "source": "measured once",
-        "figures": {"patients": units, "poses": n, "seconds_to_adapt": round(adapting, 2)},
+        "figures": {"patients": units, "poses": n, "seconds_to_adapt": seconds},
         "tables": {
             "all": {"columns": ["method", *heads], "rows": rows},
+            "gains": {
+                "columns": ["method", "beside", *(METRICS[key][0] for key in COMPARED)],
+                "rows": [_gains(*pair) for pair in AHEAD],
+            },
             "one_heart": {"columns": ["generator", "trainings", *heads], "rows": heart},
             "strata": {
                 "columns": ["distance", "method", *heads], "rows": sum(strata.values(), [])
@@ -64,6 +79,18 @@ def main(machine: str) -> None:
 
 def _read(name: str) -> dict[str, Any]:
     return json.loads((BOARD / f"{name}.json").read_text())["scores"]
+
+
+def _gains(one: str, other: str) -> list[str]:
+    """Return a row of what one has more than another, paired by patient."""
+    both = [Evidence.read(BOARD / f"{name}.parquet").figures for name in (one, other)]
+    cells = []
+    for key in COMPARED:
+        gain, digits = difference(*(each[key].replicates() for each in both)), METRICS[key][1]
+        assert gain.low is not None and gain.high is not None
+        value, low, high = (f"{x:+.{digits}f}" for x in (gain.value, gain.low, gain.high))
+        cells.append(f"{value} ({low} to {high})")
+    return [one, other, *cells]
 
 
 def _figures(metrics: dict[str, Any]) -> list[str]:

@@ -7,6 +7,7 @@ python -m tests.models.studies.speckle MACHINE LABEL=FOLDER/NAME.json …
 import json
 import sys
 from pathlib import Path
+from typing import Any
 
 from racines_data.files import write_json
 from tests.models.studies.adapted import METRICS
@@ -39,7 +40,7 @@ def main(machine: str, given: list[str]) -> None:
         "--run RUN --out FOLDER; python -m tests.models.studies.speckle MACHINE LABEL=FILE …",
         "machine": machine,
         "source": "measured once",
-        "figures": {"patients": told["settings"]["units"], "poses": told["n"]},
+        "figures": {"patients": told["settings"]["units"], "poses": told["n"]} | _of_fitting(found),
         "tables": {
             "settings": {
                 "columns": ["images", "trainings", *(METRICS[key][0] for key in SHOWN)],
@@ -47,6 +48,15 @@ def main(machine: str, given: list[str]) -> None:
             }
         },
     })  # fmt: skip
+
+
+def _of_fitting(found: dict[str, Any]) -> dict[str, Any]:
+    """Return what the steps of fitting add to SSIM of a field."""
+    plain, fitted = (
+        found[label]["metrics"]["ssim"]["value"]
+        for label in ("`scout-field`, not fitted", "`scout-field`")
+    )
+    return {"gain": {"ssim": round(fitted - plain, 4)}}
 
 
 if __name__ == "__main__":

@@ -88,7 +88,7 @@ def evaluate_on_patients(
     content["dataset"]["board"] = tier_board
     written = out / f"{title}.json"
     content = write_scores(written, content, scores.evidence, force)
-    write_adapted(out / f"{title}.png", asked, scores.images)
+    write_adapted(out / f"{title}.png", asked, {"drawn": scores.images})
     tables = [metrics_table(f"{title}, {config.split} patients", content["metrics"])]
     tables += [
         metrics_table(f"{title}, {stratum} from the scout", found)
