@@ -1,5 +1,6 @@
 """A field between the frames of a scout, filled in by what train patients have in common."""
 
+import copy
 from dataclasses import dataclass
 from typing import Any, Self
 
@@ -124,8 +125,12 @@ class ScoutField(ScoutAttention):
 
     def fitted_field(self, field: Tensor, seed: int) -> Tensor:
         """Fit a field to frames of the scout, each painted without itself and its neighbours."""
-        painter: FieldNetwork = self.net("painter").eval()
+        painter, device = self.net("painter").eval(), field.device
         scouts, frames = self.met()
+        if device.type != "cpu":
+            # There gradients of a look-up are summed in no fixed order.
+            painter, frames = copy.deepcopy(painter).cpu(), frames.cpu()
+            scouts, field = scouts.on("cpu"), field.cpu()
         poses, count = Pose(*(part[0] for part in scouts.poses)), len(frames)
         size = min(TOGETHER, count // TOGETHER)
         owner = torch.zeros(size, dtype=torch.int64, device=field.device)
@@ -145,7 +150,7 @@ class ScoutField(ScoutAttention):
                 loss = (1.0 - ssim) + 4.0 * error
             (field.grad,) = torch.autograd.grad(loss, field)
             optimizer.step()
-        return field.detach()
+        return field.detach().to(device)
 
     def foresee(self, pose: Pose) -> Painted:
         """Return the expected images at (B,) poses of the patient that it is adapted to."""

@@ -1,5 +1,6 @@
 """The field between a scout's frames: the contract, what voxels show, and where cells look."""
 
+import copy
 from dataclasses import replace
 
 import pytest
@@ -36,9 +37,15 @@ class TestScoutField(GeneratorContract):
     def met(self, generator, store):
         return generator.adapt(*scout_of(store), 0)
 
+    def own(self, store, folder):
+        """Return one whose weights a test may change."""
+        generator = self.fitted(store, folder)
+        generator.nets = copy.deepcopy(generator.nets)
+        return generator
+
     def test_where_a_patient_lies_counts_for_nothing(self, store, tmp_path):
         """Scout and poses turned and moved together give the same images, but for rounding."""
-        generator, poses = self.fitted(store, tmp_path), self.parameters(store)
+        generator, poses = self.own(store, tmp_path), self.parameters(store)
         torch.manual_seed(0)
         for name, weight in generator.net("painter").named_parameters():
             if "leave" in name:
@@ -53,7 +60,7 @@ class TestScoutField(GeneratorContract):
 
     def test_the_field_decides(self, store, tmp_path):
         """What is looked up in the field goes on to the image."""
-        generator, poses = self.fitted(store, tmp_path), self.parameters(store)
+        generator, poses = self.own(store, tmp_path), self.parameters(store)
         torch.manual_seed(0)
         torch.nn.init.normal_(generator.net("painter").painter.decoder.leave.weight, std=0.05)
         drawn = generator.generate(poses, 0)
@@ -151,9 +158,13 @@ def test_the_prior_is_learned(store, tmp_path):
     assert not torch.equal(first, last)
 
 
-@pytest.mark.parametrize("change", [{"prior": 12}, {"channels": 4}])
-def test_impossible_settings_are_refused(change):
-    with pytest.raises(RacinesError, match=r"scout-field.*multiple of 8"):
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [({"prior": 12}, "multiple of 8"), ({"channels": 4}, "multiple of 8"),
+     ({"fit": -1}, "fit is 0 or more"), ({"fit_rate": 0.0}, "fit_rate is above 0")],
+)  # fmt: skip
+def test_impossible_settings_are_refused(change, message):
+    with pytest.raises(RacinesError, match=rf"scout-field.*{message}"):
         ScoutFieldConfig(**change)
 
 
@@ -201,3 +212,27 @@ def test_few_frames_are_enough(store, tmp_path):
     least = generator.scout
     met = generator.adapt(images[:least], parameters[:least], 0)
     assert met.generate(parameters[-2:], 0).shape == (2, 128, 128)
+
+
+def test_a_frame_is_painted_without_itself_and_its_neighbours(store, tmp_path, monkeypatch):
+    generator = ScoutField(TINY)
+    generator.fit(store, Run(tmp_path, progress=False))
+    images, parameters = scout_of(store)
+    places, asked = parameters_to_pose(parameters).position, []
+    painter = generator.net("painter")
+    paint = painter.forward
+
+    def looked(scouts, owner, pose, field, home):
+        kept = [place for place in range(FRAMES)
+                if (scouts.poses.position[0] == places[place]).all(1).any()]  # fmt: skip
+        for each in pose.position:
+            row = int((places == each).all(1).nonzero()[0])
+            assert not {row - 1, row, row + 1} & set(kept)
+            asked.append(row)
+        assert len(kept) >= FRAMES - 3 * len(pose.position)
+        return paint(scouts, owner, pose, field, home)
+
+    monkeypatch.setattr(painter, "forward", looked)
+    generator.config = replace(TINY, fit=3)
+    generator.adapt(images, parameters, 0)
+    assert len(asked) == 24 and len(set(asked)) > 8
