@@ -128,8 +128,6 @@ def import_(
     own = sections.get(config.source, {}) | overrides(settings)
     own |= given(mapping=mapping, pixel_mm=pixel_mm)
     made = dataset.make_source(config, own, inputs)
-    if warning := left_out(made, config.licence, config.consent, config.origin):
-        say(f"racines: {warning}", err=True)
     if hasattr(made, "progress"):
         setattr(made, "progress", not as_json)  # noqa: B010
     try:
@@ -140,6 +138,8 @@ def import_(
         elif made.report:
             _print_kinds(made.report, "nothing was imported")
         raise
+    if warning := left_out(made, config.licence, config.consent, config.origin):
+        say(f"racines: {warning}", err=True)
     if as_json:
         summary = {key: manifest[key] for key in _KEYS}
         say_json({"out": str(out), **summary, **_report(made.report)})

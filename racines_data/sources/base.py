@@ -32,7 +32,7 @@ PROJECT = "The RACINES developers"
 """Who made what this project's own sources simulate."""
 NOT_TOLD = "unknown (not told)"
 """Stands where a name would, of recordings whose makers nobody told."""
-_SIMULATED = ("phantom", "patients", "beating")
+SIMULATED = ("phantom", "patients", "beating")
 
 
 @dataclass(frozen=True)
@@ -201,8 +201,12 @@ def maker_of(manifest: Mapping[str, Any]) -> str:
     Recordings are never the project's: where nobody told whose they are, that is what is said.
     """
     card = manifest_card(manifest)
-    own = card.simulated and manifest["source"] in _SIMULATED
-    return card.attribution or (PROJECT if own else NOT_TOLD)
+    return card.attribution or (PROJECT if is_own(card, manifest["source"]) else NOT_TOLD)
+
+
+def is_own(card: SourceCard, source: str) -> bool:
+    """Return whether this project itself simulates the frames of a source."""
+    return card.simulated and source in SIMULATED
 
 
 def rights_of(manifest: Mapping[str, Any]) -> dict[str, str]:

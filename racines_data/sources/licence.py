@@ -9,7 +9,7 @@ from dataclasses import replace
 from typing import Any
 
 from racines_data.errors import RacinesError
-from racines_data.sources.base import SourceCard, own_card
+from racines_data.sources.base import SourceCard, is_own, own_card
 
 UNKNOWN = "unknown"
 HUB = {
@@ -37,7 +37,7 @@ def left_out(source: Any, licence: str = "", consent: str = "", origin: str = ""
     said = {
         "licence": licence or not asks(source),
         "consent": consent or not asks(source),
-        "origin": origin or card.attribution or card.simulated,
+        "origin": origin or card.attribution or is_own(card, getattr(source, "name", "")),
     }
     lacking = "; ".join(told for name, told in _LEFT_OUT.items() if not said[name])
     return lacking and f"{lacking}: the card says so"
@@ -76,7 +76,7 @@ def declared_card(
         return own_card(source)
     if licence and not asks(source) and card.license not in ("other", UNKNOWN):
         raise RacinesError(f"--licence: source {source.name} is {card.license}: leave it out")
-    if origin and (card.attribution or card.simulated):
+    if origin and (card.attribution or is_own(card, source.name)):
         raise RacinesError(f"--origin: source {source.name} says itself whose it is: leave it out")
     rights, asked = _rights(card, licence, asks(source)), asks(source)
     return replace(

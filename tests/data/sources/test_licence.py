@@ -152,3 +152,15 @@ def test_what_is_missing_is_asked_for_and_nothing_else():
 )
 def test_names_and_address_are_told_apart(told: str, name: str, url: str):
     assert credited(told) == (name, url)
+
+
+def test_a_simulator_of_somebody_else_is_credited():
+    """That frames are simulated does not make them this project's."""
+
+    class Theirs:
+        name, of_users, card = "theirs", False, SourceCard(simulated=True)
+
+    assert "--origin" in left_out(Theirs())
+    card = declared_card(Theirs(), origin="A. Else, https://example.org/sim")
+    assert card is not None and card.attribution == "A. Else, https://example.org/sim"
+    assert not left_out(Theirs(), origin="A. Else, https://example.org/sim")
