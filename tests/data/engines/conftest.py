@@ -16,6 +16,8 @@ def cluster() -> Iterator[None]:
     import ray
 
     os.environ |= {"RAY_USAGE_STATS_ENABLED": "0", "RAY_DEDUP_LOGS": "0"}
+    # A token in the user's home, if there is one, is no concern of tests and their commands.
+    os.environ["RAY_AUTH_MODE"] = "disabled"
     ray.init(
         "local", num_cpus=2, object_store_memory=STORE, include_dashboard=False,
         log_to_driver=False, logging_level="ERROR",
