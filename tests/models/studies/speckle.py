@@ -9,6 +9,8 @@ import sys
 from pathlib import Path
 from typing import Any
 
+import yaml
+
 from racines_data.files import write_json
 from tests.models.studies.adapted import METRICS
 from tests.models.studies.judged import number
@@ -51,12 +53,27 @@ def main(machine: str, given: list[str]) -> None:
 
 
 def _of_fitting(found: dict[str, Any]) -> dict[str, Any]:
-    """Return what the steps of fitting add to SSIM of a field."""
+    """Return what the steps of fitting add to SSIM of a field, and its score by its grain."""
     plain, fitted = (
         found[label]["metrics"]["ssim"]["value"]
         for label in ("`scout-field`, not fitted", "`scout-field`")
     )
-    return {"gain": {"ssim": round(fitted - plain, 4)}}
+    scores = {
+        name: round(_score(found[label]["metrics"]), 3)
+        for name, label in (("0", "`scout-field`"), ("0_2", "`scout-field`, grain 0.2"),
+                            ("0_35", "`scout-field`, grain 0.35"))
+    }  # fmt: skip
+    return {"gain": {"ssim": round(fitted - plain, 4)}, "score": scores}
+
+
+def _score(metrics: dict[str, Any]) -> float:
+    """Return the board's score, by the anchors that the profile `reference` names."""
+    told = yaml.safe_load((OUT.parents[2] / "racines_data/profiles/reference.yaml").read_text())
+    anchors = told["downstream"]["anchors"]
+    shares = [
+        (metrics[name]["value"] - worst) / (best - worst) for name, (worst, best) in anchors.items()
+    ]
+    return sum(shares) / len(shares)
 
 
 if __name__ == "__main__":
