@@ -23,7 +23,7 @@ from racines_models.trackerless.floors import NoMotion
 from racines_models.trackerless.metrics import ENDS, METRICS, PIXELS, PROBE, TURNS, errors
 from racines_models.trackerless.motion import Motion, to_vectors
 from racines_models.trackerless.planes import LARGEST, Plane, sector_plane, stated_plane
-from racines_models.trackerless.sweeps import EVERY, Shown, Sweep, SweepSet, digest_of
+from racines_models.trackerless.sweeps import Shown, Sweep, SweepSet, digest_of
 
 SCHEMA = "racines.motion-scores/1"
 SHARES = ("score",)
@@ -173,11 +173,7 @@ def score_motion(
         "counts": {
             "sweeps": len(found),
             "frames": sum(map(len, found)),
-            "left_out": sum(
-                lacking
-                for split, lacking in sweeps.left_out.items()
-                if config.split in (split, EVERY)
-            ),
+            "left_out": sweeps.left_out[config.split],
         },
         "sweeps": {str(each.number): each.id for each in found},
         "runs": len(motions),

@@ -91,14 +91,17 @@ class SweepSet:
             return bool(own.isfinite().all()) and bool((own[1:] != own[:1]).any())
 
         self.left_out: dict[str, int] = {}
-        """Sweeps of each split that lack a pose, or whose probe rests."""
+        """Sweeps of each split, and of `all`, that lack a pose, or whose probe rests."""
         self._rows: dict[str, list[Tensor]] = {}
         for split in SPLITS:
             every = _by_trajectory(store, split) if store.turns is None else _by_phase(store, split)
             kept = [each for each in every if moves(each)]
             self._rows[split], self.left_out[split] = kept, len(every) - len(kept)
+        self.left_out[EVERY] = sum(self.left_out.values())
         if store.turns is not None:  # a split breaks their order
-            self._rows[EVERY] = [each for each in _by_phase(store, *SPLITS) if moves(each)]
+            every = _by_phase(store, *SPLITS)
+            kept = [each for each in every if moves(each)]
+            self._rows[EVERY], self.left_out[EVERY] = kept, len(every) - len(kept)
         if not any(self._rows.values()):
             raise RacinesError(
                 f"{store.root}: config {store.config} has no sweep whose frames all have poses and "

@@ -14,7 +14,7 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 from typer.testing import CliRunner
 
-from racines_data.geometry import parameters_to_pose
+from racines_data.geometry import Pose, parameters_to_pose, pose_keys
 from racines_data.store.frames import open_store
 from racines_envs.task.names import REPLAY_ID
 from racines_leaderboard.cli.command import app
@@ -63,13 +63,22 @@ def test_it_is_an_environment(recorded: Recorded):
     core = env.unwrapped.core
     assert core.phantom.unit == recorded.unit
     seen, info = env.reset(seed=0)
-    for action in range(12):
-        # What is seen is a recorded frame, the nearest one in pose.
+    # In one of the sets the probe only turns, in the other it only moves: nothing weighs the two.
+    train = store.split_indices("train")
+    keys = pose_keys(parameters_to_pose(store.parameters.double()), 1.0)
+    shown = set()
+    for turn in range(48):
         assert np.array_equal(seen["image"].squeeze(), store.images[info["frame"]])
-        here = core.state.position[0]
-        away = parameters_to_pose(store.parameters[info["frame"] :][:1]).position[0]
-        assert float((here - away / (1e3 if recorded.unit == "px" else 1.0)).norm()) < 0.05
-        seen, _, _, _, info = env.step(action)
+        here = Pose(core.state.position.double(), core.state.rotation.double())
+        unit = 1e3 if recorded.unit == "px" else 1.0
+        own = pose_keys(Pose(here.position * unit, here.rotation), 1.0)
+        away = (keys - own).norm(dim=1)
+        assert float(away[info["frame"]]) < float(away[train].min()) + 1e-4, "the nearest in pose"
+        shown.add(info["frame"])
+        seen, _, ended, cut, info = env.step(turn // 4)  # each step four times
+        if ended or cut:
+            seen, info = env.reset()
+    assert len(shown) > 1
     assert "wrench" not in seen  # nobody measured it
 
 

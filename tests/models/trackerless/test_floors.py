@@ -186,7 +186,7 @@ def test_what_cannot_be_asked_is_refused(sweeps):
     some.parameters[LENGTH : 2 * LENGTH] = some.parameters[LENGTH]
     some.parameters[3, 7] = np.nan
     some._splits["test"] = some._splits["test"][:1] * 2
-    assert SweepSet(some).left_out == {"train": 2, "validation": 0, "test": 0}
+    assert SweepSet(some).left_out == {"train": 2, "validation": 0, "test": 0, "all": 2}
     with pytest.raises(RacinesError, match="split test has no sweep"):
         SweepSet(some).sweeps("test")
     with pytest.raises(RacinesError, match="no-motoin"):

@@ -117,3 +117,20 @@ def test_the_command_scores_the_whole_file(root: Path, tmp_path: Path):
     told = json.loads(done.stdout)
     assert told["counts"] == {"sweeps": PHASES, "frames": TURNS * PHASES, "left_out": 0}
     assert set(told["metrics"]) == set(ANGLES) and told["withheld"]["score"] == NO_METRES
+
+
+def test_what_is_left_out_of_all_turns_is_counted_of_their_own_sweeps(root: Path):
+    """A pose that is missing costs the whole file's sweep of its phase, as that of its split."""
+    store = open_store(root)
+    store.parameters = store.parameters.clone()
+    store.parameters[store.split_indices("test")[0]] = torch.nan
+    sweeps = SweepSet(store)
+    lone = {"train": 0, "validation": 0, "test": 1, "all": 1}
+    assert sweeps.left_out == lone and len(sweeps.sweeps("all")) == PHASES - 1
+    # Of one turn alone no motion is told, but among all turns it is a step as any other.
+    store = open_store(root)
+    store.parameters = store.parameters.clone()
+    rows = store.split_indices("validation")
+    store.parameters[rows] = store.parameters[rows[:1]]
+    sweeps = SweepSet(store)
+    assert sweeps.left_out == {"train": 0, "validation": PHASES, "test": 0, "all": 0}
