@@ -10,7 +10,9 @@ import torch
 from torch import Tensor, nn
 
 SIDE = 64
-"""Pixels of the images that it looks at, along a side."""
+"""Pixels of the images that it looks at, along a side, with the widths that it has by default."""
+WIDTHS = (24, 40, 72, 128, 160)
+"""Channels at 32, 16, 8, 4 and 2 pixels a side."""
 SCALE = (0.02, 0.02, 0.02, 0.35, 0.35, 0.35)
 """Metres and radians that count as one in what it says."""
 SURENESS = (-4.0, 3.0)
@@ -48,13 +50,25 @@ class Reading(NamedTuple):
 class ServoNetwork(nn.Module):
     """Residual convolutions down to 2×2, then two dense layers; it owns its normalisation."""
 
-    def __init__(self, views: int, widths: Sequence[int] = (24, 40, 72, 128, 160)) -> None:
-        """Build for so many views; `widths` are channels at 32, 16, 8, 4 and 2 pixels a side."""
+    def __init__(
+        self, views: int, widths: Sequence[int] = WIDTHS, blocks: Sequence[int] = ()
+    ) -> None:
+        """Build for so many views.
+
+        Args:
+            views: how many.
+            widths: channels, the last at 2 pixels a side, each before at twice as many: five look
+                at images of 64 pixels, six at 128.
+            blocks: of each width after the first; one of each if empty.
+        """
         super().__init__()
-        self.views = views
+        self.views, self.side = views, 2 ** (len(widths) + 1)
         first = nn.Conv2d(1, widths[0], 5, 2, 2, bias=False)
         layers = [first, nn.BatchNorm2d(widths[0]), nn.ReLU()]
-        layers += [_Block(*pair) for pair in zip(widths, widths[1:], strict=False)]
+        for before, after, count in zip(
+            widths, widths[1:], blocks or [1] * (len(widths) - 1), strict=False
+        ):
+            layers += [_Block(before, after), *(_Block(after, after, 1) for _ in range(count - 1))]
         self.body = nn.Sequential(*layers, nn.Flatten())
         self.head = nn.Sequential(
             nn.Linear(widths[-1] * 4, 320), nn.ReLU(), nn.Linear(320, views * SAID)
@@ -64,7 +78,7 @@ class ServoNetwork(nn.Module):
         self.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
 
     def forward(self, images: Tensor) -> Said:
-        """Look at (B, 1, SIDE, SIDE) images, black 0 and white 1."""
+        """Look at (B, 1, side, side) images, black 0 and white 1."""
         return self.say(self.features(images))
 
     def features(self, images: Tensor) -> Tensor:
@@ -78,7 +92,7 @@ class ServoNetwork(nn.Module):
         return Said(said[..., :6], said[..., 6:12].clamp(*SURENESS), *said[..., 12:].unbind(-1))
 
     def read(self, images: Tensor) -> Reading:
-        """Read (B, SIDE, SIDE) gray levels."""
+        """Read (B, side, side) gray levels."""
         ways, sureness, *shown = self(images.unsqueeze(1).float() / 255.0)
         scores, grades = (each.sigmoid() for each in shown)
         return Reading(ways * self.scale, sureness.exp() * self.scale, scores, 10.0 * grades)
@@ -96,8 +110,13 @@ class ServoEnsemble(nn.Module):
         super().__init__()
         self.members = nn.ModuleList(members)
 
+    @property
+    def side(self) -> int:
+        """Return the pixels of its images along a side."""
+        return cast(ServoNetwork, self.members[0]).side
+
     def read(self, images: Tensor) -> Reading:
-        """Read (B, SIDE, SIDE) gray levels."""
+        """Read (B, side, side) gray levels."""
         each = [cast(ServoNetwork, member).read(images) for member in self.members]
         ways, deviations, scores, grades = (torch.stack(part) for part in zip(*each, strict=True))
         counts = deviations.square().reciprocal()
@@ -108,15 +127,16 @@ class ServoEnsemble(nn.Module):
 
 
 class _Block(nn.Module):
-    """Two convolutions, the first of which halves the side, beside a shortcut."""
+    """Two convolutions beside a shortcut; the first of them has the stride."""
 
-    def __init__(self, inputs: int, outputs: int) -> None:
+    def __init__(self, inputs: int, outputs: int, stride: int = 2) -> None:
         super().__init__()
-        self.first = nn.Conv2d(inputs, outputs, 3, 2, 1, bias=False)
+        self.first = nn.Conv2d(inputs, outputs, 3, stride, 1, bias=False)
         self.first_norm = nn.BatchNorm2d(outputs)
         self.second = nn.Conv2d(outputs, outputs, 3, 1, 1, bias=False)
         self.second_norm = nn.BatchNorm2d(outputs)
-        self.shortcut = nn.Conv2d(inputs, outputs, 1, 2, bias=False)
+        narrow = nn.Conv2d(inputs, outputs, 1, stride, bias=False)
+        self.shortcut = nn.Identity() if stride == 1 else narrow
 
     def forward(self, x: Tensor) -> Tensor:
         inner = torch.relu(self.first_norm(self.first(x)))

@@ -50,11 +50,11 @@ def test_the_surer_member_counts_more_and_what_they_disagree_by_is_doubt():
     assert deviation == pytest.approx(variance**0.5)
 
 
-def save(folder: Path, seed: int, agent: str = "servo") -> ServoNetwork:
+def save(folder: Path, seed: int, agent: str = "servo", **shape: Any) -> ServoNetwork:
     torch.manual_seed(seed)
-    network = ServoNetwork(len(VIEWS))
+    network = ServoNetwork(len(VIEWS), **shape)
     save_weights(folder / "policy.safetensors", network.state_dict())
-    told = {"agent": agent, "config": asdict(ServoConfig()), "seed": seed}
+    told = {"agent": agent, "config": asdict(ServoConfig(**shape)), "seed": seed}
     (folder / "config.json").write_text(json.dumps(told))
     (folder / "metrics.json").write_text("{}")
     return network.eval()
@@ -87,6 +87,18 @@ def test_each_training_takes_the_servos_that_follow_and_is_loaded_as_it_was(
     core = make_core("A4C-patients", 2, observation="multimodal", phantom=still)
     again.attach(core)
     assert again.act(core.reset(torch.arange(2)), core.decision_seeds()).shape == (2,)
+
+
+def test_members_of_six_widths_look_at_all_pixels(run: Path, tmp_path: Path):
+    shape = {"widths": (16, 16, 24, 24, 32, 32), "blocks": (1, 2, 1, 1, 1)}
+    for seed, place in enumerate(("", "seed-1", "seed-2", "seed-3")):
+        save(run / place, seed, **shape)
+    made = ServoEnsembleAgent.train(EnsembleConfig(members=str(run), size=2), tmp_path / "both")
+    again = ServoEnsembleAgent.load(tmp_path / "both")
+    images = torch.randint(0, 256, (2, 128, 128), dtype=torch.uint8)
+    own = [ServoAgent.load(each).readings(images).scores for each in (run, run / "seed-1")]
+    assert made.network.side == again.network.side == 128
+    assert torch.allclose(again.readings(images).scores, torch.stack(own).mean(0))
 
 
 @pytest.mark.parametrize(

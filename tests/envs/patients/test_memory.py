@@ -254,6 +254,24 @@ def test_a_killed_run_goes_on(tiny: MemoryConfig, tmp_path: Path, monkeypatch: p
         assert torch.equal(ours, theirs)
 
 
+@pytest.mark.thorough
+def test_several_processes_act_as_one_does(servo: Path, tmp_path: Path):
+    few = {"patients": 1, "round_patients": 1, "validation_patients": 1}
+    config = MemoryConfig(
+        members=str(servo), acts=EpisodeConfig(episodes=1, places=1), episodes=16,
+        round_episodes=8, batch_size=8, precision="fp32", **few,
+    )  # fmt: skip
+    alone, many = (
+        ServoMemoryAgent.train(
+            replace(config, processes=count), tmp_path / str(count), progress=False
+        ).recall
+        for count in (1, 2)
+    )
+    assert alone is not None and many is not None
+    for ours, theirs in zip(alone.parameters(), many.parameters(), strict=True):
+        assert torch.equal(ours, theirs)
+
+
 @pytest.mark.parametrize("patient", first_of([2, 3]))
 def test_what_it_learns_from_is_what_it_saw(
     servo: Path, patient: int, monkeypatch: pytest.MonkeyPatch

@@ -1,6 +1,7 @@
 """The servo: ways are read back, beliefs fuse them, training repeats, it goes where it reads."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,7 +14,7 @@ from racines_envs.agents.rollout import rollout
 from racines_envs.agents.servo import mind, rounds
 from racines_envs.agents.servo.agent import ServoAgent
 from racines_envs.agents.servo.belief import Belief, reading
-from racines_envs.agents.servo.frames import FrameConfig, Frames, draw_poses, ways_to
+from racines_envs.agents.servo.frames import FrameConfig, Frames, draw_poses, shard, shrink, ways_to
 from racines_envs.agents.servo.learner import Bank, ServoConfig, ServoLearner
 from racines_envs.agents.servo.visits import VisitConfig, visit
 from racines_envs.studies.robustness.core import DisturbedCore
@@ -173,16 +174,16 @@ def test_looking_about_a_view_tells_more_than_one_look(still):
     assert final["steps"].max() <= mind.CHOOSE + 40
 
 
-def fake_shard(patient, config, folder):
+def fake_shard(patient, config, folder, side=64):
     draw = torch.Generator().manual_seed(patient)
-    images = torch.randint(0, 256, (config.frames, 64, 64), generator=draw, dtype=torch.uint8)
+    images = torch.randint(0, 256, (config.frames, side, side), generator=draw, dtype=torch.uint8)
     ways = torch.randn(config.frames, 5, 6, generator=draw) * 0.01
     return Frames(images, ways, *torch.rand(2, config.frames, 5, generator=draw))
 
 
 def fake_visit(agent, patient, places, config, seed):
     weight = float(agent.network.head[0].weight.detach().abs().sum())
-    frames = fake_shard(patient, FrameConfig(6), None)
+    frames = fake_shard(patient, FrameConfig(6), None, agent.network.side)
     return frames._replace(scores=torch.full((6, 5), weight % 1.0))
 
 
@@ -293,3 +294,71 @@ def test_it_is_not_for_the_one_heart(tiny, tmp_path, phantom):
     core = make_core("SC", observation="multimodal", reward="oracle", phantom=phantom)
     with pytest.raises(RacinesError, match="observes multimodal"):
         agent.attach(core)
+
+
+WIDE = {"widths": (16, 16, 24, 24, 32, 32), "blocks": (1, 2, 1, 1, 1)}
+
+
+def test_a_network_of_six_widths_looks_at_all_pixels(tiny, tmp_path, still):
+    config = replace(tiny, **WIDE)
+    trained = ServoAgent.train(config, tmp_path, progress=False)
+    assert config.side == trained.network.side == 128
+    loaded = ServoAgent.load(tmp_path)
+    images = torch.randint(0, 256, (3, 128, 128), dtype=torch.uint8)
+    assert torch.equal(trained.readings(images).ways, loaded.readings(images).ways)
+    # A pixel's neighbour counts for itself, where the smaller network sees their mean alone.
+    swapped = images.clone()
+    swapped[:, 40:88, 40:88:2], swapped[:, 40:88, 41:88:2] = (
+        images[:, 40:88, 41:88:2], images[:, 40:88, 40:88:2],
+    )  # fmt: skip
+    assert not torch.equal(loaded.readings(swapped).ways, loaded.readings(images).ways)
+    assert loaded.view_scores(images.float()).shape == (3, 5)
+    core = make_core("A4C-patients", 2, observation="multimodal", phantom=still)
+    loaded.attach(core)
+    assert len(loaded.act(core.reset(torch.arange(2)), core.decision_seeds())) == 2
+
+
+def test_frames_are_as_large_as_the_network_looks_at(tmp_path):
+    seen = {side: shard(2, FrameConfig(6, places=1), tmp_path, side).images for side in (64, 128)}
+    assert torch.equal(shrink(seen[128]), seen[64]) and seen[128].shape[1:] == (128, 128)
+    assert torch.equal(shrink(seen[128], 128), seen[128])
+
+
+def test_several_processes_draw_and_visit_what_one_does(tmp_path):
+    config = ServoConfig(
+        patients=2, validation_patients=1, frames=FrameConfig(8, places=1), images=32,
+        batch_size=8, precision="fp32", visits=VISITS,
+    )  # fmt: skip
+    alone, many = (
+        ServoAgent.train(replace(config, processes=count), tmp_path / str(count), progress=False)
+        for count in (1, 2)
+    )
+    for ours, theirs in zip(alone.network.parameters(), many.network.parameters(), strict=True):
+        assert torch.equal(ours, theirs)
+
+
+def test_a_round_has_a_pace_of_its_own(tiny):
+    visits = replace(VISITS, beside=1, batch_size=4, learning_rate=1e-4)
+    config, own = replace(tiny, visits=visits), bank(tiny)
+    learner = ServoLearner(config, own, own, 0, network(), own, turn=1)
+    batch = next(learner.batches(0, 16))
+    assert len(batch.images) == 4 and learner.rate(199) == pytest.approx(0.0)
+    assert learner.training.batch_size == 4 and learner.rate(0) == pytest.approx(1e-4 / 200)
+    only = {each.numpy().tobytes() for each in fake_shard(1, tiny.frames, None).images}
+    assert {each.numpy().tobytes() for each in batch.images[2:]} <= only, "of one patient beside"
+
+
+@pytest.mark.parametrize(
+    ("wrong", "told"),
+    [
+        ({"widths": (8, 8)}, "five or six"),
+        ({"blocks": (1, 2)}, "4 widths after the first"),
+        ({"blocks": (1, 0, 1, 1)}, "one or more"),
+        ({"grown": 0.0}, "share above 0"),
+        ({"processes": 0}, "1 or more"),
+        ({"patients": 3, "visits": VisitConfig(beside=4)}, "4 of 3 patients"),
+    ],
+)
+def test_shapes_that_cannot_be_are_refused(wrong, told):
+    with pytest.raises(RacinesError, match=told):
+        ServoConfig(**wrong)

@@ -65,7 +65,9 @@ class Episodes:
         device = next(self._sight.network.parameters()).device
 
         def look(part: Tensor) -> Tensor:
-            ways, deviations, *shown = self._sight.network.read(shrink(part.to(device)))
+            ways, deviations, *shown = self._sight.network.read(
+                shrink(part.to(device), self._sight.network.side)
+            )
             return torch.cat([ways, deviations, torch.stack(shown, -1)], -1)
 
         images = observation["image"].view(len(labels), *observation["image"].shape[-2:])

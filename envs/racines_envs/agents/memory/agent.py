@@ -18,7 +18,6 @@ from racines_envs.agents.memory.rounds import discard, learn
 from racines_envs.agents.protocol import SETTINGS
 from racines_envs.agents.servo.agent import POLICY, ServoAgent
 from racines_envs.agents.servo.belief import Belief, reading
-from racines_envs.agents.servo.frames import shrink
 from racines_envs.agents.servo.mind import Mind
 from racines_envs.agents.training import seeded
 from racines_envs.task.core import ScanCore
@@ -65,7 +64,7 @@ class ServoMemoryAgent(ServoAgent):
         labels, said_by_all = self._labels(observation), len(VIEWS) * SAID
 
         def look(part: Tensor) -> Tensor:
-            small = shrink(part.to(self._device)).unsqueeze(1).float() / 255.0
+            small = self._shrunk(part).unsqueeze(1).float() / 255.0
             features = self._eyes.features(small)
             ways, sureness, *shown = self._eyes.say(features)
             said = torch.cat([ways, sureness, torch.stack(shown, -1)], -1)

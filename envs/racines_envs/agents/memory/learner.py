@@ -67,6 +67,8 @@ class MemoryConfig:
     """As the trainer's: `fp32`, mixed `bf16` or `fp16`, or `auto`."""
     store: str = ""
     """Folder that keeps the episodes; `episodes` in the run's own if empty."""
+    processes: int = 1
+    """Processes that act on patients."""
     threads: int = 1
     """CPU threads; 0 leaves torch as it is."""
     device: str = "cpu"
@@ -74,8 +76,8 @@ class MemoryConfig:
     def __post_init__(self) -> None:
         needed = self.first + self.patients + self.rounds * self.round_patients
         known = len(seeds_of("train")), len(seeds_of("validation"))
-        if min(self.patients, self.round_patients, self.validation_patients) < 1:
-            raise RacinesError("agents.servo-memory: patients are 1 or more")
+        if min(self.patients, self.round_patients, self.validation_patients, self.processes) < 1:
+            raise RacinesError("agents.servo-memory: patients and processes are 1 or more")
         if needed > known[0] or self.validation_patients > known[1]:
             raise RacinesError(
                 f"agents.servo-memory: {needed} train patients with the first ones left out, and "
@@ -124,7 +126,7 @@ class MemoryLearner(Course):
         self._own, self._held, self._turn = own, held, turn
         self.network = start or RecallNetwork(len(VIEWS)).to(self.device)
         self.network.eyes.copy_(torch.tensor(list(bytes.fromhex(eyes)), dtype=torch.uint8))
-        aside = {"threads", "device", "store"}
+        aside = {"threads", "processes", "device", "store"}
         aside |= set() if turn else {"rounds", "round_patients", "round_episodes"}
         told = {key: value for key, value in asdict(config).items() if key not in aside}
         self.identity = {"agent": self.name, "seed": seed, "world": PATIENTS_VERSION, **told}

@@ -7,8 +7,8 @@ acts on others, and the memory learns on from all episodes; and so on.
 import json
 import shutil
 from collections.abc import Callable, Sequence
+from copy import deepcopy
 from dataclasses import asdict, replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -16,8 +16,15 @@ from racines_data.digest import recipe_digest
 from racines_data.files import write_json
 from racines_data.patients.patient import PATIENTS_VERSION
 from racines_data.patients.splits import seeds_of
-from racines_data.progress import progress_bar
-from racines_envs.agents.memory.episodes import Episodes, Noting, act_on, joined, kept
+from racines_envs.agents.many import exhaust, of_each
+from racines_envs.agents.memory.episodes import (
+    EpisodeConfig,
+    Episodes,
+    Noting,
+    act_on,
+    joined,
+    kept,
+)
 from racines_envs.agents.memory.eyes import Eyes
 from racines_envs.agents.memory.learner import MemoryConfig, MemoryLearner
 from racines_models.networks.recall import RecallNetwork
@@ -40,21 +47,15 @@ def learn(
         discard(run, config.rounds)
 
     def acted(patients: Sequence[int], network: RecallNetwork | None, who: str) -> Episodes:
-        agent = make(config, eyes.network, network)
+        # Hearts lie on the CPU, and so does who acts on them.
+        recalls = None if network is None else deepcopy(network).cpu()
+        agent = make(config, deepcopy(eyes.network).cpu(), recalls)
         told = {"world": PATIENTS_VERSION, "eyes": eyes.sha256, "seed": run.seed, "by": who}
         told |= asdict(config.acts)
-        folder = store / recipe_digest(told)[:16]
-        parts = []
-        with progress_bar(run.progress, "patients") as bar:
-            task = bar.add_task("episodes", total=len(patients))
-            for patient in patients:
-                path, make_it = folder / f"{patient}.safetensors", partial(one_of, agent, patient)
-                parts.append(kept(path, make_it))
-                bar.advance(task)
-        return joined(parts)
-
-    def one_of(agent: Noting, patient: int) -> Episodes:
-        return act_on(agent, patient, config.acts, run.seed)
+        state = agent, config.acts, run.seed, store / recipe_digest(told)[:16]
+        if config.processes > 1:
+            exhaust(of_each(_act, state, patients, "episodes", run.progress, config.processes))
+        return joined(list(of_each(_acted, state, patients, "episodes", run.progress)))
 
     held = acted(seeds_of("validation")[: config.validation_patients], None, "servo")
     own = acted(config.trained_on, None, "servo")
@@ -68,6 +69,16 @@ def learn(
         learner = MemoryLearner(config, own, held, run.seed, eyes.sha256, started, turn)
         rounds.append(_round(learner, replace(run, folder=_folder(run, turn))))
     return learner.network, rounds
+
+
+def _act(state: tuple[Noting, EpisodeConfig, int, Path], patient: int) -> None:
+    _acted(state, patient)
+
+
+def _acted(state: tuple[Noting, EpisodeConfig, int, Path], patient: int) -> Episodes:
+    """Return an agent's episodes on a train patient, from the folder or by acting there."""
+    agent, acts, seed, folder = state
+    return kept(folder / f"{patient}.safetensors", lambda: act_on(agent, patient, acts, seed))
 
 
 def of_episodes(figures: dict[str, Any]) -> dict[str, Any]:

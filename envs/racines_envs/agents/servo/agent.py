@@ -25,7 +25,7 @@ from racines_envs.task.core import ScanCore
 from racines_envs.task.names import HEART_TIER
 from racines_models.devices import on_device, resolve_device
 from racines_models.networks.batching import in_fixed_batches
-from racines_models.networks.servo import SIDE, Reading, ServoEnsemble, ServoNetwork
+from racines_models.networks.servo import Reading, ServoEnsemble, ServoNetwork
 from racines_models.protocol import Run
 from racines_models.weights import load_network, read_described, save_weights
 
@@ -109,15 +109,19 @@ class ServoAgent:
         """Return what (N, 128, 128) images show of all views."""
 
         def look(part: Tensor) -> Tensor:
-            ways, deviations, *shown = self.network.read(shrink(part.to(self._device)))
+            ways, deviations, *shown = self.network.read(self._shrunk(part))
             return torch.cat([ways, deviations, torch.stack(shown, -1)], -1)
 
         said = in_fixed_batches(look, images)
         return Reading(said[..., :6], said[..., 6:12], *said[..., 12:].unbind(-1))
 
+    def _shrunk(self, images: Tensor) -> Tensor:
+        """Return (N, side, side) of (N, 128, 128) images, on the network's device."""
+        return shrink(images.to(self._device), self.network.side)
+
     def view_scores(self, images: Tensor) -> Tensor:
         """Return (N, views) scores of (N, 128, 128) float gray levels, to be differentiated."""
-        factor = images.shape[-1] // SIDE
+        factor = images.shape[-1] // self.network.side
         small = functional.avg_pool2d(images.to(self._device).unsqueeze(1), factor).squeeze(1)
         return self.network.read(small).scores
 
@@ -143,7 +147,7 @@ class ServoAgent:
     @classmethod
     def built(cls, config: Any) -> ServoNetwork | ServoEnsemble:
         """Return the network that settings describe, untrained."""
-        return ServoNetwork(len(VIEWS))
+        return ServoNetwork(len(VIEWS), config.widths, config.blocks)
 
     @classmethod
     def load(cls, run_dir: Path, device: torch.device | str = "cpu") -> Self:

@@ -1,6 +1,6 @@
 """The servo that looks through several trained networks at once."""
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, ClassVar, Self
 
@@ -12,7 +12,7 @@ from racines_envs.agents.servo.agent import POLICY, ServoAgent
 from racines_envs.evaluation.agent_specs import trained_folder
 from racines_envs.evaluation.trainings import find_trainings
 from racines_models.devices import on_device
-from racines_models.networks.servo import ServoEnsemble, ServoNetwork
+from racines_models.networks.servo import WIDTHS, ServoEnsemble, ServoNetwork
 from racines_models.weights import save_weights
 
 
@@ -24,6 +24,10 @@ class EnsembleConfig:
     """Run of a servo with several trainings: a name, trained here or published, or a folder."""
     size: int = 3
     """Networks; training n of the ensemble takes the run's n · size and those that follow."""
+    widths: tuple[int, ...] = WIDTHS
+    """As the members'."""
+    blocks: tuple[int, ...] = ()
+    """As the members'."""
     device: str = "cpu"
 
     def __post_init__(self) -> None:
@@ -58,6 +62,7 @@ class ServoEnsembleAgent(ServoAgent):
             )
         servos = [ServoAgent.load(each.folder, config.device) for each in own]
         network = ServoEnsemble([each.network for each in servos])
+        config = replace(config, widths=servos[0].config.widths, blocks=servos[0].config.blocks)
         run_dir = Path(run_dir)
         save_weights(run_dir / POLICY, network.state_dict())
         told = {"agent": cls.name, "config": asdict(config), "seed": seed}
@@ -69,4 +74,5 @@ class ServoEnsembleAgent(ServoAgent):
     @classmethod
     def built(cls, config: Any) -> ServoEnsemble:
         """Return the networks that settings describe, untrained."""
-        return ServoEnsemble([ServoNetwork(len(VIEWS)) for _ in range(config.size)])
+        shape = len(VIEWS), config.widths, config.blocks
+        return ServoEnsemble([ServoNetwork(*shape) for _ in range(config.size)])

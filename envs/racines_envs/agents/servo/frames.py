@@ -66,7 +66,7 @@ class Frames(NamedTuple):
     """N frames."""
 
     images: Tensor
-    """(N, SIDE, SIDE) uint8."""
+    """(N, side, side) uint8."""
     ways: Tensor
     """(N, V, 6) float32 to the views' nominal poses, where the heart lies when breathed out: m in
     the probe's axes, and a rotation vector, rad."""
@@ -76,9 +76,11 @@ class Frames(NamedTuple):
     """(N, V) float32, a tenth of its grade."""
 
 
-def shrink(images: Tensor) -> Tensor:
-    """Return (N, SIDE, SIDE) uint8 of (N, 128, 128) uint8: what the network looks at."""
-    factor = images.shape[-1] // SIDE
+def shrink(images: Tensor, side: int = SIDE) -> Tensor:
+    """Return (N, side, side) uint8 of (N, 128, 128) uint8: what the network looks at."""
+    factor = images.shape[-1] // side
+    if factor == 1:
+        return images
     small = functional.avg_pool2d(images.unsqueeze(1).float(), factor).round()
     return small.squeeze(1).to(torch.uint8)
 
@@ -114,11 +116,13 @@ def place(pool: Pool, rows: Tensor, seeds: Tensor, config: FrameConfig) -> Place
     return Placed(pose, rows[allowed], phase[allowed], seeds[allowed])
 
 
-def draw_frames(pool: Pool, rows: Tensor, seeds: Tensor, config: FrameConfig) -> Frames:
+def draw_frames(
+    pool: Pool, rows: Tensor, seeds: Tensor, config: FrameConfig, side: int = SIDE
+) -> Frames:
     """Draw a frame of each of (N,) rows of a pool by (N,) seeds, but where no probe may be."""
     placed = place(pool, rows, seeds, config)
     images = pool.render(placed.pose, placed.rows, placed.phase, derive(placed.seeds, STREAM))
-    return Frames(shrink(images), *truths(pool, placed))
+    return Frames(shrink(images, side), *truths(pool, placed))
 
 
 def truths(pool: Pool, placed: Placed) -> tuple[Tensor, Tensor, Tensor]:
@@ -157,14 +161,14 @@ def places_of(patient: int, count: int) -> list[Patient]:
     return [own, *(lie_anew(own, draw_patient(split[other])) for other in others[1:])]
 
 
-def shard(patient: int, config: FrameConfig, folder: Path) -> Frames:
+def shard(patient: int, config: FrameConfig, folder: Path, side: int = SIDE) -> Frames:
     """Return a patient's frames from the folder, or draw them and put them there."""
-    told = {"world": PATIENTS_VERSION, "patient": patient, "side": SIDE, **asdict(config)}
+    told = {"world": PATIENTS_VERSION, "patient": patient, "side": side, **asdict(config)}
 
     def draw() -> Frames:
         pool = Pool(places_of(patient, config.places), beating=True)
         seeds = derive(torch.full((config.frames,), STREAM), patient, torch.arange(config.frames))
-        return draw_frames(pool, torch.arange(config.frames) % len(pool), seeds, config)
+        return draw_frames(pool, torch.arange(config.frames) % len(pool), seeds, config, side)
 
     return kept(folder / f"{patient}-{recipe_digest(told)[:16]}.safetensors", draw)
 

@@ -17,7 +17,7 @@ from racines_data.randomness import derive, uniform
 from racines_data.views import VIEWS
 from racines_envs.agents.servo.frames import FrameConfig, Frames
 from racines_envs.agents.servo.visits import VisitConfig
-from racines_models.networks.servo import SCALE, SIDE, Reading, ServoNetwork
+from racines_models.networks.servo import SCALE, SIDE, WIDTHS, Reading, ServoNetwork
 from racines_models.training.augmentation import Augmentation, augment
 from racines_models.training.objective import Course, Training, Update
 
@@ -29,11 +29,8 @@ GRADED = 5.0
 """Weight of the cross entropies of scores and grades beside the ways' likelihood."""
 FIRST = 16
 """Patients in the bank at the start."""
-GROWN = 0.1
-"""Share of the budget after which all patients are in the bank: few at first, so that a training
-begins at once; soon all, since what is learned of a few hearts is learned of them alone."""
 LATER = 0.5
-"""Share of the learning rate in the rounds after the first training."""
+"""Share of the learning rate in the rounds after the first training, if they name none."""
 STREAM = 331
 JUDGED = 512
 """Frames read at once in validation."""
@@ -44,11 +41,20 @@ class ServoConfig:
     """What a servo learns from, and how."""
 
     patients: int = 160
-    """Train patients; each costs some 9 seconds on a CPU core once, and 5 MB of memory."""
+    """Train patients; each costs some 4 seconds on a CPU core once, and 5 MB of memory (18 MB at
+    128 pixels)."""
     validation_patients: int = 4
     """Validation patients whose frames are read on the way."""
     frames: FrameConfig = FrameConfig()
     visits: VisitConfig = VisitConfig()
+    widths: tuple[int, ...] = WIDTHS
+    """Channels of the network, each at half the pixels a side of the one before: five look at
+    images of 64 pixels a side, six at 128, which is all that there is."""
+    blocks: tuple[int, ...] = ()
+    """Residual blocks of each width after the first; one of each if empty."""
+    grown: float = 0.1
+    """Share of the budget after which all patients are in the bank: few at first, so that a
+    training begins at once; soon all, since what is learned of a few hearts is of them alone."""
     images: int = 600_000
     """Training images seen, with repetition."""
     batch_size: int = 128
@@ -64,6 +70,8 @@ class ServoConfig:
     """As the trainer's: `fp32`, mixed `bf16` or `fp16`, or `auto`."""
     store: str = ""
     """Folder that keeps the frames; `frames` in the run's own if empty."""
+    processes: int = 1
+    """Processes that draw frames; several draw all of them before the training begins."""
     threads: int = 1
     """CPU threads; 0 leaves torch as it is."""
     device: str = "cpu"
@@ -75,6 +83,26 @@ class ServoConfig:
                 f"agents.servo: {self.patients} patients and {self.validation_patients} for "
                 f"validation: there are 1 to {known[0]} and {known[1]}"
             )
+        if self.visits.beside > self.patients:
+            raise RacinesError(
+                f"agents.servo.visits.beside: {self.visits.beside} of {self.patients} patients"
+            )
+        if len(self.widths) not in (5, 6) or min(self.widths) < 1:
+            raise RacinesError(f"agents.servo.widths: {self.widths}: give five or six channels")
+        if self.blocks and (len(self.blocks) != len(self.widths) - 1 or min(self.blocks) < 1):
+            raise RacinesError(
+                f"agents.servo.blocks: {self.blocks}: give one or more for each of the "
+                f"{len(self.widths) - 1} widths after the first, or nothing"
+            )
+        if not 0.0 < self.grown <= 1.0 or self.processes < 1:
+            raise RacinesError(
+                "agents.servo: grown is a share above 0, and processes are 1 or more"
+            )
+
+    @property
+    def side(self) -> int:
+        """Pixels of the images along a side."""
+        return 2 ** (len(self.widths) + 1)
 
 
 class Batch(NamedTuple):
@@ -90,13 +118,24 @@ class Batch(NamedTuple):
 class Bank:
     """Frames of patients, drawn when they are first needed."""
 
-    def __init__(self, seeds: Sequence[int], frames: int, make: Callable[[int], Frames]) -> None:
-        """Take whose frames it will hold, how many of each at most, and what draws them."""
+    def __init__(
+        self, seeds: Sequence[int], frames: int, make: Callable[[int], Frames], side: int = SIDE,
+        device: torch.device | str = "cpu",
+    ) -> None:  # fmt: skip
+        """Take whose frames it will hold, how many of each at most, and what draws them.
+
+        Args:
+            seeds: of the patients.
+            frames: of one patient at most.
+            make: draws a patient's.
+            side: pixels of an image along a side.
+            device: where they lie.
+        """
         self._seeds, self._make = seeds, make
         room, views = len(seeds) * frames, len(VIEWS)
-        images = torch.empty(room, SIDE, SIDE, dtype=torch.uint8)
-        shown = torch.empty(room, views), torch.empty(room, views)
-        self._columns = Frames(images, torch.empty(room, views, 6), *shown)
+        images = torch.empty(room, side, side, dtype=torch.uint8, device=device)
+        ways, *shown = (torch.empty(room, views, *size, device=device) for size in ((6,), (), ()))
+        self._columns = Frames(images, ways, *shown)
         self._ends = [0]
 
     def holding(self, patients: int) -> Frames:
@@ -135,9 +174,14 @@ class ServoLearner(Course):
         """
         self.config, self.seed, self.device = config, seed, torch.device(config.device)
         self._bank, self._held, self._visited, self._turn = bank, held, visited, turn
-        self.network = start or ServoNetwork(len(VIEWS)).to(self.device)
+        self._batch, self._peak = config.batch_size, config.learning_rate
+        if turn:
+            self._batch = config.visits.batch_size or self._batch
+            self._peak = config.visits.learning_rate or LATER * self._peak
+        plain = ServoNetwork(len(VIEWS), config.widths, config.blocks) if start is None else start
+        self.network = plain.to(self.device)
         self.scale = torch.tensor(SCALE, device=self.device)
-        aside = {"threads", "device", "store"} | (set() if turn else {"visits"})
+        aside = {"threads", "processes", "device", "store"} | (set() if turn else {"visits"})
         told = {key: value for key, value in asdict(config).items() if key not in aside}
         self.identity = {"agent": self.name, "seed": seed, "world": PATIENTS_VERSION, **told}
         self.identity |= {"round": turn}
@@ -147,11 +191,12 @@ class ServoLearner(Course):
     def training(self) -> Training:
         """The trainer's settings."""
         config = self.config
-        every: Any = {"log_every": 5_000, "sample_every": 40_000, "checkpoint_every": 20_000}
         images = config.visits.images if self._turn else config.images
-        learned = Training(
-            images, config.batch_size, config.precision, config.ema, config.gradient_clip
-        )
+        # As often in a long training as in one of a million images, however fast it is.
+        times = max(1, images // 1_000_000)
+        every: Any = {"log_every": 5_000, "sample_every": 40_000, "checkpoint_every": 20_000}
+        every = {name: times * each for name, each in every.items()}
+        learned = Training(images, self._batch, config.precision, config.ema, config.gradient_clip)
         return Training(**{**asdict(learned), **every})
 
     def modules(self) -> dict[str, nn.Module]:
@@ -169,21 +214,22 @@ class ServoLearner(Course):
 
     def rate(self, step: int) -> float:
         """Return the learning rate."""
-        done = step * self.config.batch_size / self.training.stop
-        peak = self.config.learning_rate * (LATER if self._turn else 1.0)
-        return peak * min(1.0, (step + 1) / 200) * max(0.0, 1.0 - done)
+        done = step * self._batch / self.training.stop
+        return self._peak * min(1.0, (step + 1) / 200) * max(0.0, 1.0 - done)
 
     def batches(self, start: int, stop: int) -> Iterator[Batch]:
         """Yield batches, each a function of the seed and of how many images went before."""
-        size, config, every = self.config.batch_size, self.config, len(self._bank)
-        first = every if self._turn else min(FIRST, every)
+        size, config, every = self._batch, self.config, len(self._bank)
+        first = (config.visits.beside or every) if self._turn else min(FIRST, every)
+        every = first if self._turn else every
         for seen in range(start, stop, size):
-            grown = min(1.0, seen / (GROWN * stop))
+            grown = min(1.0, seen / (config.grown * stop))
             frames = self._bank.holding(first + round((every - first) * grown))
             stream = torch.full((size,), STREAM + self._turn)
             seeds = derive(stream, self.seed, torch.arange(size) + seen)
-            chance = uniform(seeds, 1, 1)[:, 0].double()
-            columns = [column[(chance * len(frames.images)).long()] for column in frames]
+            chance = uniform(seeds, 1, 1)[:, 0].double().to(frames.images.device)
+            rows = (chance * len(frames.images)).long()
+            columns = [column[rows] for column in frames]
             if self._visited is not None:
                 own = self._visited.holding(len(self._visited))
                 count = round(size * config.visits.share)
@@ -208,7 +254,7 @@ class ServoLearner(Course):
     @torch.no_grad()
     def look(self, seen: int, folder: Path) -> dict[str, float]:
         """Read validation patients' frames; return mean errors, those of ways along an axis."""
-        frames = self._held.holding(len(self._held))
+        frames = Frames(*(each.cpu() for each in self._held.holding(len(self._held))))
         parts = [self.network.read(part.to(self.device)) for part in frames.images.split(JUDGED)]
         read = Reading(*(torch.cat(each).cpu() for each in zip(*parts, strict=True)))
         missed, row = (read.ways - frames.ways).abs(), {}

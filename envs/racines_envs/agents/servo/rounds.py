@@ -9,6 +9,7 @@ on with the round that it was in.
 import json
 import shutil
 from collections.abc import Callable
+from copy import deepcopy
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -16,10 +17,10 @@ from typing import Any
 from racines_data.digest import recipe_digest
 from racines_data.files import write_json
 from racines_data.patients.splits import seeds_of
-from racines_envs.agents.protocol import Agent
-from racines_envs.agents.servo.frames import kept, shard
+from racines_envs.agents.many import exhaust, of_each
+from racines_envs.agents.servo.frames import FrameConfig, Frames, kept, shard
 from racines_envs.agents.servo.learner import Bank, ServoConfig, ServoLearner
-from racines_envs.agents.servo.visits import visit
+from racines_envs.agents.servo.visits import Reads, VisitConfig, visit
 from racines_models.networks.servo import ServoNetwork
 from racines_models.protocol import Run
 from racines_models.training.checkpoint import discard_checkpoint
@@ -28,16 +29,18 @@ from racines_models.weights import load_network, save_weights
 
 
 def learn(
-    config: ServoConfig, run: Run, make: Callable[[ServoConfig, ServoNetwork], Agent]
+    config: ServoConfig, run: Run, make: Callable[[ServoConfig, ServoNetwork], Reads]
 ) -> tuple[ServoNetwork, list[dict[str, Any]]]:
     """Train the network, all rounds; return it, and what is told of each round."""
     where = Path(config.store) if config.store else run.folder / "frames"
+    _draw(config, where, run)
 
     def bank(split: str, patients: int) -> Bank:
         def drawn(patient: int):
-            return shard(patient, config.frames, where)
+            return shard(patient, config.frames, where, config.side)
 
-        return Bank(seeds_of(split)[:patients], config.frames.frames, drawn)
+        seeds = seeds_of(split)[:patients]
+        return Bank(seeds, config.frames.frames, drawn, config.side, config.device)
 
     own, held = bank("train", config.patients), bank("validation", config.validation_patients)
     if run.resume is False:
@@ -45,12 +48,26 @@ def learn(
     learner = ServoLearner(config, own, held, run.seed)
     rounds = [_round(learner, run)]
     for turn in range(1, config.visits.rounds + 1):
-        agent = make(config, learner.network.eval())
+        agent = make(config, deepcopy(learner.network).cpu())  # hearts lie on the CPU
         visited = _visited(agent, learner.identity, config, run, turn)
         network = learner.network.train()
         learner = ServoLearner(config, own, held, run.seed, network, visited, turn)
         rounds.append(_round(learner, replace(run, folder=_folder(run, turn))))
     return learner.network, rounds
+
+
+def _draw(config: ServoConfig, where: Path, run: Run) -> None:
+    """Draw all frames in several processes, if there are to be several."""
+    seeds = [*seeds_of("validation")[: config.validation_patients]]
+    seeds += seeds_of("train")[: config.patients]
+    if config.processes > 1:
+        state = config.frames, where, config.side
+        exhaust(of_each(_drawn, state, seeds, "frames", run.progress, config.processes))
+
+
+def _drawn(state: tuple[FrameConfig, Path, int], patient: int) -> None:
+    frames, where, side = state
+    shard(patient, frames, where, side)
 
 
 def discard(run: Run, rounds: int) -> None:
@@ -70,7 +87,7 @@ def _folder(run: Run, turn: int) -> Path:
 
 
 def _visited(
-    agent: Agent, identity: dict[str, Any], config: ServoConfig, run: Run, turn: int
+    agent: Reads, identity: dict[str, Any], config: ServoConfig, run: Run, turn: int
 ) -> Bank:
     """Return a bank of what an agent sees, which is known by how it was trained."""
     folder = _folder(run, turn) / VISITED / recipe_digest(identity)[:16]
@@ -79,14 +96,28 @@ def _visited(
     first = visits.patients * (turn - 1)
     seeds = [every[place % config.patients] for place in range(first, first + visits.patients)]
 
-    def drawn(patient: int):
-        path = folder / f"{patient}.safetensors"
-        places = config.frames.places
-        return kept(path, lambda: visit(agent, patient, places, visits, run.seed + turn))
+    state = agent, config.frames.places, visits, run.seed + turn, folder
+    if config.processes > 1:
+        exhaust(of_each(_go, state, seeds, "visits", run.progress, config.processes))
 
-    bank = Bank(seeds, visits.episodes * visits.steps, drawn)
+    def drawn(patient: int):
+        return _went(state, patient)
+
+    room, device = visits.episodes * visits.steps, config.device
+    bank = Bank(seeds, room, drawn, config.side, device)
     bank.holding(len(seeds))  # before the network that acts learns on
     return bank
+
+
+def _go(state: tuple[Reads, int, VisitConfig, int, Path], patient: int) -> None:
+    _went(state, patient)
+
+
+def _went(state: tuple[Reads, int, VisitConfig, int, Path], patient: int) -> Frames:
+    """Return what an agent sees on a train patient, from the folder or by acting there."""
+    agent, places, visits, seed, folder = state
+    path = folder / f"{patient}.safetensors"
+    return kept(path, lambda: visit(agent, patient, places, visits, seed))
 
 
 def _round(learner: ServoLearner, run: Run) -> dict[str, Any]:
