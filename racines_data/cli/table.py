@@ -53,21 +53,29 @@ def inspect(
     allow: opt.Allow = None,
     as_json: opt.AsJson = False,
 ) -> None:
-    """Draw a recording on one sheet as a mapping reads it, and say in words what looks wrong."""
+    """Draw a recording on one sheet as a mapping reads it, or a dataset; say what looks wrong."""
     from racines_data.files import write_atomic
+    from racines_data.manifest import MANIFEST
     from racines_data.sources.gate.bounds import READING, Bounds
     from racines_data.sources.table.inspecting import inspect_mapping
     from racines_data.sources.table.mapping import read_mapping
     from racines_data.sources.table.sheet import draw_sheet
     from racines_data.sources.table.source import MAPPING
+    from racines_data.validate.inspecting import inspect_dataset
 
-    path = out or Path(f"{folder.resolve().name}-sheet.png")
+    path, name = out or Path(f"{folder.resolve().name}-sheet.png"), folder.resolve().name
     opt.check_ending(path, ".png")
     Bounds(allow=tuple(allow or ()))
-    made = inspect_mapping(folder, read_mapping(mapping or folder / MAPPING), allow or ())
+    if mapping is None and (folder / MANIFEST).is_file():
+        if allow:
+            raise RacinesError("--allow is for a mapping that is tried; a dataset has its own")
+        made, told = inspect_dataset(folder), f"{name}, the dataset"
+    else:
+        made = inspect_mapping(folder, read_mapping(mapping or folder / MAPPING), allow or ())
+        told = f"{name}, as the mapping reads it"
     if READING in (allow or ()):
         made.doubts = [doubt for doubt in made.doubts if doubt.certain]
-    write_atomic(path, draw_sheet(made, f"{folder.resolve().name}, as the mapping reads it"))
+    write_atomic(path, draw_sheet(made, told))
     words = made.words()
     if as_json:
         doubts = [vars(doubt) for doubt in made.doubts]

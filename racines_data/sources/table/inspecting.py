@@ -43,6 +43,8 @@ class Inspection:
     sweeps: list[Sweep] = field(default_factory=list)
     images: list[tuple[str, np.ndarray]] = field(default_factory=list)
     """Titles and (128, 128) uint8 of some frames of the first sweep."""
+    unit: str = "mm"
+    """Of positions, of which there are a thousand to the unit of `poses`."""
 
     @property
     def frames(self) -> int:

@@ -1,7 +1,7 @@
 """The sheet of a recording: the probe's frame along the sweep, steps, frames, histograms, words.
 
 +---------------------+----------------------+
-| probe's frame, 3-D  | distance a row, mm   |
+| probe's frame, 3-D  | distance a row       |
 |                     | angle a row, degrees |
 +---------------------+----------------------+
 | six frames of the first sweep              |
@@ -101,7 +101,9 @@ def _path(figure: Figure, place: _Rectangle, made: Inspection) -> None:
     middle, ends = (tips.max(0) + tips.min(0)) / 2, 0.6 * span * np.array([-1, 1])
     axis.set(xlim=middle[0] + ends, ylim=middle[1] + ends, zlim=middle[2] + ends)
     for letter in "xyz":
-        getattr(axis, f"set_{letter}label")(f"{letter}, mm", labelpad=5 if letter == "z" else 2)
+        getattr(axis, f"set_{letter}label")(
+            f"{letter}, {made.unit}", labelpad=5 if letter == "z" else 2
+        )
     axis.tick_params(pad=1, labelsize=7)
     axis.zaxis.set_tick_params(pad=5)
     axis.locator_params(nbins=5)
@@ -118,7 +120,10 @@ def _steps(figure: Figure, places: Sequence[_Rectangle], made: Inspection) -> No
     moved = 1e3 * np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1)
     turns = np.einsum("tij,tij->t", poses[1:, :3, :3], poses[:-1, :3, :3])
     turned = np.degrees(np.arccos(np.clip((turns - 1) / 2, -1, 1)))
-    told = (("distance from row to row", "mm", moved), ("angle from row to row", "degrees", turned))
+    told = (
+        ("distance from row to row", made.unit, moved),
+        ("angle from row to row", "degrees", turned),
+    )
     for place, (title, unit, values) in zip(places, told, strict=True):
         axis = figure.add_axes(place)
         axis.plot(np.arange(1, len(values) + 1), values, color=OURS, lw=1.1)
@@ -144,7 +149,7 @@ def _shown(figure: Figure, made: Inspection, place: _Place) -> None:
 def _histograms(figure: Figure, places: Sequence[_Rectangle], made: Inspection) -> None:
     tips = 1e3 * np.concatenate(made.poses)[:, :3, 3]
     steps = np.concatenate([np.diff(draft.times) for draft in made.drafts])
-    told = [(f"position {'xyz'[i]}", "mm", tips[:, i]) for i in range(3)]
+    told = [(f"position {'xyz'[i]}", made.unit, tips[:, i]) for i in range(3)]
     told.append(("step of time", "ms", 1e3 * steps))
     grays = [image.ravel() for _, image in made.images]
     told.append(("gray, not black", "level", np.concatenate(grays) if grays else np.empty(0)))
