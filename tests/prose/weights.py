@@ -35,6 +35,7 @@ GROUPS = {
     "the first is what `make repro` trains",
     "models/weights/phantom-default/vae-gan": "generator, default profile, three trainings",
     "envs/weights/servo": "agent on patients, three trainings, one network for all views",
+    "envs/weights/servo-full": "the servo at all pixels, three trainings",
     "envs/weights/servo-memory": "agent on patients that sees through the servo, three trainings",
     "envs/weights/patients/ppo-*": "policies on still patients that see the pose, three trainings "
     "a view",

@@ -18,8 +18,8 @@ from racines_models.statistics.intervals import difference
 RESULT = Path(__file__).parents[3] / "docs/results/patient-tasks.json"
 BOARDS = RESULT.parents[2] / "leaderboard/results"
 AGENTS = (
-    "random", "constant-pose", "blind-tour", "ppo", "ppo-belief", "servo", "servo-memory",
-    "planner",
+    "random", "constant-pose", "blind-tour", "ppo", "ppo-belief", "servo", "servo-full",
+    "servo-memory", "planner",
 )  # fmt: skip
 TIERS = {"patients": "still", "beating": "beating"}
 Found = dict[tuple[str, ...], dict[str, Any]]
@@ -103,8 +103,11 @@ def gains(one: str, other: str) -> dict[str, Any]:
     for tier, told in TIERS.items():
         cells = []
         for view in VIEWS:
-            paths = (BOARDS / tier / "patient-agents" / f"{each}-{view.lower()}.parquet"
-                     for each in (one, other))  # fmt: skip
+            paths = [BOARDS / tier / "patient-agents" / f"{each}-{view.lower()}.parquet"
+                     for each in (one, other)]  # fmt: skip
+            if not all(path.is_file() for path in paths):
+                cells.append("–")
+                continue
             both = [Evidence.read(path).figures["success_declared"] for path in paths]
             gain = difference(*(figures.replicates() for figures in both))
             assert gain.low is not None and gain.high is not None
@@ -130,14 +133,14 @@ def fill(found: Found) -> None:
     content = json.loads(RESULT.read_text())
     tables = {"success_test": success(found, "test"), "ends": ends(found, "test")}
     tables |= {"pathology": by_pathology(found, "servo", "test")}
-    tables |= {"gains": gains("servo-memory", "servo")}
+    tables |= {"gains": gains("servo-memory", "servo"), "pixels": gains("servo-full", "servo")}
     shown = {
         agent: {
             told: round(100 * found[agent, "A4C", tier, "test"]["metrics"][
                 "success_declared"]["value"], 1)
             for tier, told in TIERS.items()
         }
-        for agent in ("servo", "servo-memory", "planner")
+        for agent in ("servo", "servo-full", "servo-memory", "planner")
         if (agent, "A4C", "beating", "test") in found
     }  # fmt: skip
     told = found["servo", "A4C", "patients", "test"]["metrics"]["success_declared"]["settings"]
