@@ -11,6 +11,7 @@ from typing import Any
 
 from racines_data.errors import RacinesError
 from racines_data.files import locked, write_atomic
+from racines_envs.evaluation.patients import run_name
 from racines_leaderboard.board.evidence import evidence_path, read_evidence
 from racines_leaderboard.board.robustness import robustness_of
 from racines_leaderboard.board.standing import with_standing
@@ -213,8 +214,13 @@ def _record(path: Path, submissions: Path, board: str) -> Record:
     name = scores[track.subject]
     if name != path.stem:
         raise RacinesError(f"{path}: {track.subject}: {name!r} differs from the file's name")
-    # Several runs of one method share its submission.
-    submission = find_submission(submissions, track.name, scores.get("submission", name))
+    # Several runs of one method share its submission; on patients one with other settings may have
+    # its own, by the run's name.
+    names = [scores.get("submission", name)]
+    if track.name == PATIENT_AGENTS.name:
+        names.insert(0, run_name(name, scores["task"]["view"]))
+    found = (find_submission(submissions, track.name, each) for each in names)
+    submission = next((each for each in found if each is not None), None)
     record = record_of(board, track, name, "self-reported", submission, scores)
     check(record, "record", str(path))
     return record

@@ -31,9 +31,10 @@ def on_boards() -> Found:
     found: Found = {}
     for tier in TIERS:
         for path in sorted((BOARDS / tier / "patient-agents").glob("*.json")):
-            scores = json.loads(path.read_text())["scores"]
+            record = json.loads(path.read_text())
+            scores, name = record["scores"], record["submission"]["name"]
             view, split = scores["task"]["definition"]["view"], scores["task"]["split"]
-            found[scores["submission"], view, tier, split] = scores
+            found[name, view, tier, split] = scores
     return found
 
 

@@ -187,6 +187,23 @@ def test_a_track_is_told_by_whom_an_agent_scanned(board):
         read_board(RESULTS, "patients")
 
 
+def test_a_run_with_a_submission_of_its_own_stands_under_it(board):
+    """Another run of a method shares the method's, unless it has one by its own name."""
+    mine, own = Path("mine"), Path("leaderboard/submissions/patient-agents/planner-mine")
+    mine.mkdir()
+    scores = json.loads((SCORES / "planner-a4c.json").read_text())
+    scores["agent"], scores["evidence"]["file"] = "planner-mine-a4c", "planner-mine-a4c.parquet"
+    (mine / "planner-mine-a4c.json").write_text(json.dumps(scores))
+    shutil.copy(SCORES / "planner-a4c.parquet", mine / "planner-mine-a4c.parquet")
+    for named in ("planner", "planner-mine"):
+        racines("leaderboard", "--board", "patients", "--collect", str(mine), "--force")
+        record = json.loads(ROW.with_name("planner-mine-a4c.json").read_text())
+        assert record["submission"]["name"] == named
+        shutil.copytree(own.with_name("planner"), own, dirs_exist_ok=True)
+        told = yaml.safe_load((own / "submission.yaml").read_text())
+        (own / "submission.yaml").write_text(yaml.safe_dump(told | {"name": "planner-mine"}))
+
+
 def test_a_policy_handed_in_is_scored_on_patients(board, monkeypatch):
     path = sound_policy(inbox(board, "in") / "policy.onnx", view="A4C-patients")
     recipe = patients_recipe("patients")

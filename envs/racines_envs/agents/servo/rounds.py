@@ -33,7 +33,6 @@ def learn(
 ) -> tuple[ServoNetwork, list[dict[str, Any]]]:
     """Train the network, all rounds; return it, and what is told of each round."""
     where = Path(config.store) if config.store else run.folder / "frames"
-    _draw(config, where, run)
 
     def bank(split: str, patients: int) -> Bank:
         def drawn(patient: int):
@@ -46,6 +45,8 @@ def learn(
     if run.resume is False:
         discard(run, config.visits.rounds)
     learner = ServoLearner(config, own, held, run.seed)
+    if not _done(learner, run).is_dir():
+        _draw(config, where, run)
     rounds = [_round(learner, run)]
     for turn in range(1, config.visits.rounds + 1):
         agent = make(config, deepcopy(learner.network).cpu())  # hearts lie on the CPU
@@ -120,9 +121,14 @@ def _went(state: tuple[Reads, int, VisitConfig, int, Path], patient: int) -> Fra
     return kept(path, lambda: visit(agent, patient, places, visits, seed))
 
 
+def _done(learner: ServoLearner, run: Run) -> Path:
+    """Return where a round's weights are once it has ended."""
+    return run.folder / DONE / recipe_digest(learner.identity)[:16]
+
+
 def _round(learner: ServoLearner, run: Run) -> dict[str, Any]:
     """Train a round, or read what it came to before the run was killed."""
-    done = run.folder / DONE / recipe_digest(learner.identity)[:16]
+    done = _done(learner, run)
     if (done / "round.json").is_file():
         load_network(done / "network.safetensors", learner.network, "train it anew")
         return json.loads((done / "round.json").read_text(encoding="utf-8"))

@@ -51,7 +51,8 @@ def found_by_view(sections: list[Section]) -> Shown:
 
 def _family(record: Record) -> tuple[str, str]:
     scores = record["scores"]
-    name = scores.get("submission") or record["name"]
+    name = (record.get("submission") or {}).get("name") or scores.get("submission")
+    name = name or record["name"]
     return str(name), str(scores["task"].get("observation"))
 
 
