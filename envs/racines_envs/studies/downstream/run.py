@@ -23,6 +23,7 @@ from racines_data.files import sha256_file, write_json
 from racines_data.patients.patient import PATIENTS_VERSION
 from racines_data.patients.scouts import SCOUTS_VERSION
 from racines_data.patients.splits import seeds_of
+from racines_envs.agents.servo.learner import ServoConfig
 from racines_envs.studies.downstream.config import DownstreamConfig
 from racines_envs.studies.downstream.judge import (
     asked_of,
@@ -43,6 +44,9 @@ KEYS = {
     "environment", "training_seconds", "seconds",
 }  # fmt: skip
 """What is told of a point."""
+LATER = "widths", "blocks", "grown", "processes"
+LATER_VISITS = "beside", "batch_size", "learning_rate"
+"""Settings of a servo that came after points were published."""
 State = tuple[DownstreamConfig, Path]
 
 
@@ -127,10 +131,24 @@ def point_file(point: Point, config: DownstreamConfig, folder: Path) -> Path:
     settings = {key: value for key, value in asdict(config).items() if key not in aside}
     told = {"schema": SCHEMA, "spec": point.spec, "weights": point.weights, "settings": settings}
     told |= {"world": PATIENTS_VERSION, "scouts": SCOUTS_VERSION, "side": SIDE}
-    told |= {"learning": asdict(config.servo)}
+    told |= {"learning": _learning(config.servo)}
     told |= {"judges": [_files(config.pose), _files(config.segmentation)]}
     digest = recipe_digest(json.loads(json.dumps(told)))[:16]
     return folder / "points" / f"{digest}.json"
+
+
+def _learning(servo: ServoConfig) -> dict[str, Any]:
+    """Return a servo's settings by which points are told apart.
+
+    Those that came after points were published are left out where they change nothing.
+    """
+    plain, told = asdict(ServoConfig()), asdict(servo)
+    parts = (told, plain, LATER), (told["visits"], plain["visits"], LATER_VISITS)
+    for kept, usual, later in parts:
+        for name in later:
+            if kept[name] == usual[name]:
+                del kept[name]
+    return told
 
 
 def _files(folder: str) -> list[str]:
