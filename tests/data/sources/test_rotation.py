@@ -20,6 +20,7 @@ from racines_data.sources.images import Kind
 from racines_data.sources.rotation.source import RotationSource
 from racines_data.sources.rotation.turns import angles, apart, split_turns, to_nearest
 from racines_data.store.frames import open_store
+from racines_data.validate.inspecting import inspect_dataset
 from racines_data.validate.run import validate
 from tests.conftest import command
 from tests.data.sources.rotation_folder import (
@@ -146,6 +147,18 @@ def test_conditions_end_with_the_phase(root: Path):
     assert store.phases is not None
     assert torch.equal(batch.parameters[:, 12], store.phases[rows, 0].float())
     assert torch.equal(batch.parameters[:, 6:12], store.parameters[rows, 6:])
+
+
+def test_turns_are_a_sweep_for_each_phase(root: Path):
+    made, store = inspect_dataset(root), open_store(root)
+    assert store.turns is not None
+    assert {len(each.rows) for each in made.drafts} == {len(store.trajectories)}
+    assert made.unit == "pixels" and all(title.endswith("°") for title, _ in made.images)
+    angles = store.turns[torch.from_numpy(made.drafts[0].rows), 0]
+    assert bool((angles.diff() >= 0).all())
+    tips = 1e3 * made.poses[0][:, :3, 3]
+    told = store.parameters[torch.from_numpy(made.drafts[0].rows), 6:9]
+    assert np.allclose(tips, told, rtol=1e-6)
 
 
 @pytest.mark.parametrize("phases", [1, 2, 5])

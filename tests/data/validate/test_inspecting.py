@@ -14,7 +14,6 @@ from racines_data.geometry import parameters_to_pose
 from racines_data.store.frames import FrameStore
 from racines_data.validate.inspecting import inspect_dataset
 from racines_leaderboard.cli.command import app
-from tests.data.sources.test_rotation import folder, root  # noqa: F401  (fixtures)
 
 
 def test_sweeps_are_the_datasets_own(tiny_root: Path):
@@ -30,18 +29,6 @@ def test_sweeps_are_the_datasets_own(tiny_root: Path):
     assert np.allclose(first.poses[:, :3, :3], pose.rotation)
     shown = [image for _, image in made.images]
     assert np.array_equal(shown[0], store.images[first.rows[0]])
-
-
-def test_turns_are_a_sweep_for_each_phase(root: Path):  # noqa: F811
-    made, store = inspect_dataset(root), FrameStore(root)
-    assert store.turns is not None
-    assert {len(each.rows) for each in made.drafts} == {len(store.trajectories)}
-    assert made.unit == "pixels" and all(title.endswith("°") for title, _ in made.images)
-    angles = store.turns[torch.from_numpy(made.drafts[0].rows), 0]
-    assert bool((angles.diff() >= 0).all())
-    tips = 1e3 * made.poses[0][:, :3, 3]
-    told = store.parameters[torch.from_numpy(made.drafts[0].rows), 6:9]
-    assert np.allclose(tips, told, rtol=1e-6)
 
 
 def test_the_command_draws_and_says_what_is_wrong(tiny_root: Path, tmp_path: Path):

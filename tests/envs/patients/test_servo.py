@@ -7,9 +7,11 @@ import numpy as np
 import pytest
 import torch
 
+from racines_data.engines.local import LocalEngine
 from racines_data.errors import RacinesError
 from racines_data.geometry import Pose, axis_angle_to_matrix, geodesic, matmul3
 from racines_data.randomness import derive, uniform
+from racines_envs.agents import many
 from racines_envs.agents.rollout import rollout
 from racines_envs.agents.servo import mind, rounds
 from racines_envs.agents.servo.agent import ServoAgent
@@ -324,17 +326,26 @@ def test_frames_are_as_large_as_the_network_looks_at(tmp_path):
     assert torch.equal(shrink(seen[128], 128), seen[128])
 
 
-def test_several_processes_draw_and_visit_what_one_does(tmp_path):
+def test_several_processes_draw_and_visit_what_one_does(tmp_path, monkeypatch):
+    began: list[int] = []
+
+    class Counted(LocalEngine):
+        def __init__(self, workers):
+            began.append(workers)
+            super().__init__(workers)
+
+    monkeypatch.setattr(many, "LocalEngine", Counted)
     config = ServoConfig(
         patients=2, validation_patients=1, frames=FrameConfig(8, places=1), images=32,
         batch_size=8, precision="fp32", visits=VISITS,
     )  # fmt: skip
-    alone, many = (
+    alone, both = (
         ServoAgent.train(replace(config, processes=count), tmp_path / str(count), progress=False)
         for count in (1, 2)
     )
-    for ours, theirs in zip(alone.network.parameters(), many.network.parameters(), strict=True):
+    for ours, theirs in zip(alone.network.parameters(), both.network.parameters(), strict=True):
         assert torch.equal(ours, theirs)
+    assert began == [2, 2], "the frames, and the visits"
 
 
 def test_a_round_has_a_pace_of_its_own(tiny):
