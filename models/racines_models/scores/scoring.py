@@ -72,7 +72,8 @@ def score(
         store: Holds the true frames.
         config: Sample size, seeds and split.
         name: The generator's name in the scores.
-        grader: Adds its agreement with the truth, and FID, KID and PRDC on its features.
+        grader: Adds FID, KID and PRDC on its features, and where views are known its agreement
+            with the truth.
         pose: Adds the errors of the poses that it reads from the images.
         seeds: Instead of those of the config.
         cache: Folder for what is computed of the reference alone.
@@ -104,12 +105,14 @@ def score(
     figures = scorer.likeness() | scorer.distances("", extractors["inception"])
     if grader is not None:
         extractors["grader"] = GraderFeatures(grader)
-        figures |= scorer.distances("_grader", extractors["grader"]) | scorer.agreement(grader)
+        figures |= scorer.distances("_grader", extractors["grader"])
+        if bool((sample.frames.views >= 0).any()):  # of a recording nobody may know views
+            figures |= scorer.agreement(grader)
     if pose is not None:
         figures |= scorer.poses(pose)
     strata: dict[str, Any] = {}
     if turned:
-        figures |= turn_figures(scorer, extractors["inception"])
+        figures |= turn_figures(scorer, extractors["inception"], extractors.get("grader"))
         strata["by_stratum"] = by_angle(scorer, extractors["inception"])
     figures |= scorer.variety(runs, seeds) | scorer.memory()
     figures |= scorer.plugged(extractors["inception"], figures)

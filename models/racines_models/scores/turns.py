@@ -73,7 +73,9 @@ def training_frames(store: FrameStore, rows: Tensor) -> Tensor:
     return torch.where(behind[:, None, None], images.flip(-1), images)
 
 
-def turn_figures(scorer: Scorer, extractor: Extractor) -> dict[str, Any]:
+def turn_figures(
+    scorer: Scorer, extractor: Extractor, judge: Extractor | None = None
+) -> dict[str, Any]:
     """Return the distance in features of drawn to true frames, the bound, and the leak.
 
     `feature_distance` is the mean Euclidean distance of the features of a drawn image and of the
@@ -83,10 +85,14 @@ def turn_figures(scorer: Scorer, extractor: Extractor) -> dict[str, Any]:
     Args:
         scorer: of a sample of turns.
         extractor: of published features.
+        judge: whose features give `feature_distance_grader`, the same distance again.
     """
     rows, truth = scorer.sample.frames.index, scorer.sample.frames.images
     true, drawn = scorer.features(extractor)
     figures = {"feature_distance": _distance(scorer, "feature_distance", true, drawn, extractor)}
+    if judge is not None:
+        name = "feature_distance_grader"
+        figures[name] = _distance(scorer, name, *scorer.features(judge), judge)
     real = {
         "neighbour": scorer.store.take(next_turns(scorer.store, rows)).images,
         "train": training_frames(scorer.store, rows),

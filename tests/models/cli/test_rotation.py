@@ -6,10 +6,12 @@ from pathlib import Path
 import pytest
 
 from racines_models.scores import features, scoring
+from tests.conftest import ROOT
 from tests.data.sources.rotation_folder import PHASES, write_rotation
 from tests.leaderboard.called import racines
 from tests.models.scores.test_scores import Coarse
 
+GRADER = ROOT / "models/weights/phantom-patients/grader"
 PARAMS = """\
 generators:
   scene-field:
@@ -48,5 +50,13 @@ def test_import_train_and_score(tmp_path: Path, name: str, monkeypatch: pytest.M
     assert sum(each["ssim"]["n"] for each in scores["by_stratum"].values()) == figures["ssim"]["n"]
     assert figures["ssim"]["n"] % PHASES == 0
     assert any("One heart" in note for note in scores["notes"])
+    assert not any("grader" in key for key in figures)
+    judge = "--no-pose", "--grader", str(GRADER), "--force"
+    racines("eval", "generator", name, "--data", "rotation", *judge)
+    judged = json.loads((tmp_path / "models/runs/scores" / f"{name}.json").read_text())["metrics"]
+    assert judged["feature_distance"] == figures["feature_distance"]
+    assert judged["feature_distance_grader"]["n"] == figures["ssim"]["n"]
+    assert judged["feature_distance_grader"]["value"] > 0 and "fid_grader" in judged
+    assert "view_agreement" not in judged  # nobody knows the views of a recording
     trained = json.loads((tmp_path / "models/runs" / name / "config.json").read_text())
     assert trained["data"]["phase"] is True and trained["data"]["scale"] == "unknown"

@@ -1,5 +1,6 @@
 """The command `racines study sim-to-real`. Heavy imports stand inside, so that --help is quick."""
 
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -11,17 +12,24 @@ from racines_models.published.places import WEIGHTS, published
 
 if TYPE_CHECKING:
     from rich.table import Table
+    from torch import Tensor
 
 JUDGES = Path("models/runs")
 """Where judges lie that are not named."""
 PUBLISHED = WEIGHTS / "phantom-patients"
 """Where the published judges of patients lie."""
+SCOUTS = JUDGES / "scores/reference"
+"""Where scouts are kept that generators on patients are shown."""
 
 
 def sim_to_real(
     real: Annotated[
         Path, typer.Option(help="Parquet of real A4C frames, a folder of real echo, or a dataset.")
     ],
+    generators: Annotated[
+        list[str] | None,
+        typer.Argument(help="Generators trained on patients, whose A4C frames are held beside."),
+    ] = None,
     grader: opt.Grader = None,
     segmentation: Annotated[
         Path | None, typer.Option(help="Folder of the segmentation judge's run.")
@@ -40,18 +48,23 @@ def sim_to_real(
     and mirrored, of other views, and of planes turned away; Dice and ejection fraction against
     cardiologists. Judges that are not named are those in models/runs. Of an imported dataset: what
     its frames are called, KID to simulated patients, and motion read from images; by the published
-    judges of patients.
+    judges of patients. Of generators that are named: KID of what they draw of patients whom they
+    never saw, beside that of the simulator's own frames of the same planes.
     """
+    names = generators or []
     if (real / "manifest.json").is_file():
-        return _imported(real, grader, no_grader, out, device, as_json)
+        return _imported(real, names, grader, no_grader, out, device, as_json)
+    import numpy as np
+
     from racines_data.files import write_atomic, write_json
     from racines_data.progress import image_counter
     from racines_models.cli.output import tell
     from racines_models.judges.grader.model import Grader
     from racines_models.judges.segmentation.model import SegmentationJudge
+    from racines_models.studies.realism.patients import list_of
     from racines_models.studies.sim_to_real.figures import draw
     from racines_models.studies.sim_to_real.frames import read_real_echo
-    from racines_models.studies.sim_to_real.report import images_asked, measure
+    from racines_models.studies.sim_to_real.report import images_asked, measure, present
 
     at = None if no_grader else grader or _there("grader")
     outlines = segmentation or _there("segmentation")
@@ -61,17 +74,23 @@ def sim_to_real(
     total = images_asked(echo, judge is not None, outliner is not None)
     with image_counter("real frames", total, as_json) as advance:
         measured = measure(echo, judge, outliner, advance)
+    if names:
+        lists = np.array([list_of(each) for each in echo.frames.patient])
+        sets = {name: echo.frames.images[lists == name] for name in present(lists)}
+        measured.content["drawn"] = _drawn(names, sets, device, as_json)
     endings = draw(echo, measured, outliner)
     for ending, png in endings.items():
         write_atomic(out.with_name(f"{out.name}{ending}.png"), png)
     write_json(out.with_suffix(".json"), measured.content)
     written = ", ".join(f"{out}{ending}.png" for ending in endings)
-    tell(measured.content, as_json, *_tables(measured.content), f"{out}.json, {written}")
+    tables = [*_tables(measured.content), *_likenesses(measured.content)]
+    tell(measured.content, as_json, *tables, f"{out}.json, {written}")
 
 
 def _imported(
-    root: Path, grader: Path | None, no_grader: bool, out: Path, device: str, as_json: bool
-) -> None:
+    root: Path, names: list[str], grader: Path | None, no_grader: bool, out: Path, device: str,
+    as_json: bool,
+) -> None:  # fmt: skip
     """Measure a dataset, and write what came out with a sheet of what frames are called."""
     from racines_data.files import write_atomic, write_json
     from racines_data.store.frames import open_store
@@ -86,10 +105,44 @@ def _imported(
     judge = None if no_grader else Grader.load(grader or published(PUBLISHED / "grader"), device)
     regressor = PoseRegressor.load(published(PUBLISHED / "pose"), device)
     measured = measure_imported(open_store(root), judge, regressor, InceptionFeatures(device))
+    if names:
+        sets = {"imported": measured.images}
+        measured.content["drawn"] = _drawn(names, sets, device, as_json)
     write_atomic(out.with_suffix(".png"), sheet(measured))
     write_json(out.with_suffix(".json"), measured.content)
     table = console_table(("of the imported set", "figure"), told_rows(measured.content))
-    tell(measured.content, as_json, table, f"{out}.json, {out}.png")
+    tables = [table, *_likenesses(measured.content)]
+    tell(measured.content, as_json, *tables, f"{out}.json, {out}.png")
+
+
+def _drawn(
+    names: list[str], real: "dict[str, Tensor]", device: str, as_json: bool
+) -> dict[str, Any]:
+    """Return KID of what generators on patients draw to sets of real frames."""
+    from racines_data.progress import progress_bar
+    from racines_models.registry import PATIENTS, generator_class, weights_folder, weights_of
+    from racines_models.scores.features import InceptionFeatures
+    from racines_models.scores.on_patients import check_named, open_for_patients
+    from racines_models.studies.sim_to_real.drawn import DrawnConfig, likeness, wanted
+    from racines_models.training.published import published_seeds
+
+    trained, weights = {}, {}
+    for spec in names:  # what is not there is told before anybody is scanned
+        check_named(spec)
+        folder, name = weights_folder(spec), generator_class(spec).name
+        further = published_seeds(PATIENTS, folder)
+        trained[name] = open_for_patients(spec, folder, further, device)
+        there = (folder / "config.json").is_file()
+        weights[name] = weights_of(spec, folder, further) if there else None
+    config, extractor = DrawnConfig(), InceptionFeatures(device)
+    with progress_bar(not as_json, "patients") as bar:
+        task = bar.add_task("scouts", total=config.patients)
+        shown = wanted(config, SCOUTS, lambda n: bar.advance(task, n))
+        total = len(shown.row) * sum(map(len, trained.values()))
+        task = bar.add_task("images drawn", total=total)
+        told = likeness(trained, shown, real, extractor, progress=lambda n: bar.advance(task, n))
+    told |= {"config": asdict(config), "weights": weights, "extractor": extractor.settings}
+    return told
 
 
 def _there(name: str) -> Path | None:
@@ -110,6 +163,21 @@ def _tables(content: dict[str, Any]) -> "list[Table]":
         head = ("patients", "figure", "value", "95 % interval", "n")
         tables.append(console_table(head, rows, "outlines, against cardiologists", right=2))
     return tables
+
+
+def _likenesses(content: dict[str, Any]) -> "list[Table]":
+    """Return the table of KID of what generators draw, the simulator's own frames first."""
+    from racines_data.tables import console_table
+
+    rows = []
+    for name, sets in content.get("drawn", {}).get("kid", {}).items():
+        for real, told in sets.items():
+            low, high = told["low"], told["high"]
+            between = "-" if low is None else f"{low:.3f} to {high:.3f}"
+            trainings = str(told["settings"]["trainings"])
+            rows.append((name, real, f"{told['value']:.3f}", between, str(told["n"]), trainings))
+    head = ("drawn by", "real frames", "KID", "95 % interval", "n", "trainings")
+    return [console_table(head, rows, "A4C of patients never seen")] if rows else []
 
 
 def _calls(content: dict[str, Any]) -> list[tuple[str, ...]]:

@@ -93,7 +93,7 @@ def measure(
 def _told(real: RealEcho, lists: np.ndarray) -> dict[str, Any]:
     """Return what the frames are: hashes and counts."""
     frames, told = real.frames, {}
-    for name in _present(lists):
+    for name in present(lists):
         inside = lists == name
         patients = len(np.unique(frames.patient[inside]))
         told[name] = {"frames": int(inside.sum()), "patients": patients}
@@ -105,7 +105,8 @@ def _told(real: RealEcho, lists: np.ndarray) -> dict[str, Any]:
     return described
 
 
-def _present(lists: np.ndarray) -> list[str]:
+def present(lists: np.ndarray) -> list[str]:
+    """Return the names of the lists that (N,) names of patients' lists are of, in order."""
     return [name for name in (*LISTS, UNLISTED) if (lists == name).any()]
 
 
@@ -120,7 +121,7 @@ def _ask_grader(
     controls = answers.controls or {}
     content["acceptance"] = {
         name: accepted(controls, real.frames.patient, np.flatnonzero(lists == name), labels)
-        for name in _present(lists)
+        for name in present(lists)
     }
     if real.pictures is not None:
         called = call(grader, real.pictures.images, advance)
@@ -148,7 +149,7 @@ def _ask_segmentation(
         advance(len(found))
     patient, phase = real.frames.patient[drawn.row], real.frames.phase[drawn.row]
     content["overlap"], content["volumes"] = {}, {}
-    for name in _present(lists[drawn.row]):
+    for name in present(lists[drawn.row]):
         rows = np.flatnonzero(lists[drawn.row] == name)
         some, true = found[rows], drawn.masks[rows]
         content["overlap"][name] = overlap_figures(some, true, tuple(CAMUS), patient[rows])
