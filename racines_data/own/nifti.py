@@ -9,6 +9,7 @@ import numpy as np
 from racines_data.errors import RacinesError
 from racines_data.extras import needed
 from racines_data.own.sheet import UNITS, Sheet
+from racines_data.sources.table.inputs import named_file
 
 MOST = 200_000_000
 """Voxels of a label map, 585 along each side: what a header claims beyond that is not read."""
@@ -31,8 +32,7 @@ def read_labels(path: Path, sheet: Sheet) -> LabelMap:
             YAML contradicts; no three axes, numbers that are no labels, labels that the YAML lacks
             or names in vain.
     """
-    if not path.is_file():
-        raise RacinesError(f"{path}: no such file: name a label map, FILE.nii.gz")
+    named_file(path, "name a label map, FILE.nii.gz")
     nibabel = needed("nibabel", f"{path}: a label map")
     try:
         image = nibabel.load(path)

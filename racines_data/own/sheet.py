@@ -18,6 +18,7 @@ from racines_data.errors import RacinesError
 from racines_data.patients.labels import LABELS
 from racines_data.phantom import abdomen, heart
 from racines_data.phantom.anatomy import Tissue
+from racines_data.sources.table.inputs import named_file
 
 Vector = tuple[float, float, float]
 UNITS = {"mm": 1.0, "cm": 10.0, "m": 1000.0}
@@ -200,8 +201,7 @@ def read_sheet(path: Path) -> Sheet:
 
 
 def _read(path: Path) -> dict[str, Any]:
-    if not path.is_file():
-        raise RacinesError(f"{path}: no such file: name a tissues.yaml (docs/own-anatomy.md)")
+    named_file(path, "name a tissues.yaml (docs/own-anatomy.md)")
     try:
         values = yaml.safe_load(path.read_text(encoding="utf-8-sig"))
     except (yaml.YAMLError, UnicodeDecodeError) as error:

@@ -103,20 +103,31 @@ def parameters_of(
     wrench: np.ndarray | None = None,
     metres: float = 1.0,
     tolerance: float = TOLERANCE,
+    nearest: bool = False,
 ) -> np.ndarray:
     """Return (T, 12) float32 parameters of (T, 4, 4) poses and (T, 6) forces and torques, float64.
 
     Positions come in units of so many `metres`; without a wrench, forces are NaN. A rotation may be
-    off by `tolerance`, per element of R Rᵀ - 1.
+    off by `tolerance`, per element of R Rᵀ - 1. Angles are read from some of its elements; with
+    `nearest` from the nearest rotation's, so that a rounded matrix and its quaternion agree.
 
     Raises:
         RacinesError: a matrix that is no rigid right-handed pose: angles would hide that.
     """
     check_poses(matrices, tolerance)
-    known = torch.from_numpy(matrices)
-    pose = Pose(known[:, :3, 3] * metres, known[:, :3, :3])
+    rotations = nearest_rotations(matrices[:, :3, :3]) if nearest else matrices[:, :3, :3]
+    pose = Pose(torch.from_numpy(matrices[:, :3, 3] * metres), torch.from_numpy(rotations))
     forces = np.full((len(matrices), 6), np.nan) if wrench is None else wrench
     return pose_to_parameters(pose, torch.from_numpy(forces)).to(torch.float32).numpy()
+
+
+def nearest_rotations(matrices: np.ndarray) -> np.ndarray:
+    """Return the rotations nearest to (T, 3, 3) right-handed matrices: their polar factors.
+
+    Source: Higham, Computing the polar decomposition, 1986.
+    """
+    left, _, right = np.linalg.svd(matrices)
+    return left @ right
 
 
 def recorded(unit: Unit, images: Sequence[np.ndarray], **known: np.ndarray) -> Trajectory:

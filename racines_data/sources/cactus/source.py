@@ -25,6 +25,7 @@ from racines_data.sources.base import SourceCard, Unit
 from racines_data.sources.folder import FolderSource, Report, recorded
 from racines_data.sources.images import Fault, Kind, check_jpeg, read_gray, resolution, square
 from racines_data.sources.release.layout import entries, natural
+from racines_data.sources.table.inputs import open_folder
 from racines_data.views import LABELS, RANDOM
 
 IMAGES, GRADES = "Images Dataset", "Grades"
@@ -130,6 +131,7 @@ class _Table:
             report.flag(Kind.MISSING_TABLE, f"{GRADES}/{wanted}", detail, frames=0)
             return cls("", view)
         table = cls(f"{GRADES}/{path.name}", view)
+        open_folder(report.root).file(report.place(path), "grades")
         for row in _read_csv(path).iter_rows():
             name, subfolder, grade = ((cell or "").strip() for cell in row)
             table.rows[_key(name)].append((name, subfolder, grade))
@@ -294,9 +296,11 @@ class CactusSource(FolderSource):
 
     def _check(self, picture: Picture) -> tuple[Size | Fault, bytes]:
         """Return an image's size, or what is wrong with it, and the sha256 of the file."""
-        content = b""
+        content, path = b"", self.root / picture.file
         try:
-            content = (self.root / picture.file).read_bytes()
+            if reason := open_folder(self.root).fault(path):
+                raise Fault(Kind.UNREADABLE_IMAGE, reason)
+            content = path.read_bytes()
             checked: Size | Fault = check_jpeg(content)
         except Fault as error:
             checked = error

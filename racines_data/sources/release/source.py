@@ -12,6 +12,7 @@ from collections import Counter
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import partial
 from itertools import chain
 from pathlib import Path
 from typing import NamedTuple
@@ -34,6 +35,7 @@ from racines_data.sources.gate.numbers import (
 from racines_data.sources.images import Fault, Kind, check_png, read_gray, resolution, square
 from racines_data.sources.release import layout
 from racines_data.sources.release.layout import FIELDS, Pair, SweepFolder
+from racines_data.sources.table.inputs import Folder, open_folder
 from racines_data.views import RANDOM, VIEWS
 
 _CHUNK = 64
@@ -92,14 +94,14 @@ class _Frame:
     digest: bytes = b""
 
 
-def _read(frames: list[_Frame]) -> list[_Frame]:
+def _read(folder: Folder, frames: list[_Frame]) -> list[_Frame]:
     """Read the files of some frames; return the frames."""
     for frame in frames:
         image = log = b""
         try:
-            image = frame.image.read_bytes()
+            image = _content(folder, frame.image, Kind.UNREADABLE_IMAGE)
             frame.size = check_png(image)
-            log = frame.log.read_bytes()
+            log = _content(folder, frame.log, Kind.UNREADABLE_LOG)
             frame.numbers = layout.parse_log(log.decode("utf-8-sig", "replace"))
         except Fault as error:
             frame.fault = error
@@ -108,6 +110,13 @@ def _read(frames: list[_Frame]) -> list[_Frame]:
             frame.fault = Fault(kind, f"{error.strerror}")
         frame.digest = hashlib.sha256(image).digest() + hashlib.sha256(log).digest()
     return frames
+
+
+def _content(folder: Folder, path: Path, kind: Kind) -> bytes:
+    """Return the bytes of a file of the release; a FIFO would be waited for without end."""
+    if reason := folder.fault(path):
+        raise Fault(kind, reason)
+    return path.read_bytes()
 
 
 @dataclass
@@ -123,8 +132,9 @@ class Surveyor:
         pairs = layout.pair_files(folder, self.report)
         frames = [_Frame(p, folder.images / p.image, folder.logs / p.log) for p in pairs]
         digest = hashlib.sha256(self.report.place(folder.images).encode())
+        read = partial(_read, open_folder(self.report.root))
         chunks = [frames[start : start + _CHUNK] for start in range(0, len(frames), _CHUNK)]
-        for frame in chain.from_iterable(self.pool.map(_read, chunks)):
+        for frame in chain.from_iterable(self.pool.map(read, chunks)):
             digest.update(f"{frame.pair.image}\0{frame.pair.log}\0".encode() + frame.digest)
             if frame.fault:
                 file = frame.log if frame.size != (0, 0) else frame.image

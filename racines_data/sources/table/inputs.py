@@ -15,6 +15,7 @@ _PLAIN = re.compile(r"[^{}.\[\]!]+")
 _SPEC = re.compile(r"0?\d{0,2}d?")
 _MOST = 200_000
 """Files that a folder may hold."""
+_ABSENT = "no such file"
 
 
 @dataclass(frozen=True)
@@ -53,23 +54,19 @@ class Folder:
         return self._inside(self.root / path, where)
 
     def _inside(self, path: Path, where: str) -> Path | None:
-        try:
-            real = path.resolve(strict=True)
-            kind = real.stat().st_mode
-        except (FileNotFoundError, NotADirectoryError):
-            if path.is_symlink():
-                raise RacinesError(f"{where}: a link to nothing: put the file there") from None
+        reason = self.fault(path)
+        if reason == _ABSENT:
             return None
-        except (OSError, RuntimeError) as error:
-            raise RacinesError(f"{where}: cannot be opened ({error})") from error
-        if not real.is_relative_to(self.root):
-            raise RacinesError(
-                f"{where}: a link out of the folder, to {real}: put the file itself there"
-            )
-        if not stat.S_ISREG(kind):
-            what = "a folder" if stat.S_ISDIR(kind) else "a FIFO, a socket or a device"
-            raise RacinesError(f"{where}: {what}, where a file is needed")
+        if reason:
+            raise RacinesError(f"{where}: {reason}")
         return path
+
+    def fault(self, path: Path) -> str:
+        """Return why a path in the folder is no file that may be opened, or nothing."""
+        reason = _fault(path)
+        if not reason and not (real := path.resolve()).is_relative_to(self.root):
+            reason = f"a link out of the folder, to {real}"
+        return reason if reason in ("", _ABSENT) else f"{reason}: put the file itself there"
 
     def match(self, template: str, field: str, **values: str) -> list[Path]:
         """Return the files that a pattern with `*` matches, or the one that a name names.
@@ -123,6 +120,32 @@ def open_folder(path: Path) -> Folder:
     if not path.is_dir():
         raise RacinesError(f"{path}: no such folder")
     return Folder(path.resolve())
+
+
+def named_file(path: Path, remedy: str) -> Path:
+    """Return a file that a user names, wherever it lies.
+
+    Raises:
+        RacinesError: there is none of that name, or it is a folder, a FIFO or a device; with the
+            remedy. A FIFO would be waited for without end.
+    """
+    if reason := _fault(path):
+        raise RacinesError(f"{path}: {reason}: {remedy}")
+    return path
+
+
+def _fault(path: Path) -> str:
+    """Return why a path leads to no regular file, or nothing. It is not opened."""
+    try:
+        kind = path.stat().st_mode
+    except (FileNotFoundError, NotADirectoryError):
+        return "a link to nothing" if path.is_symlink() else _ABSENT
+    except (OSError, ValueError) as error:
+        return f"cannot be opened ({error})"
+    if stat.S_ISREG(kind):
+        return ""
+    what = "a folder" if stat.S_ISDIR(kind) else "a FIFO, a socket or a device"
+    return f"{what}, where a file is needed"
 
 
 def natural(name: str) -> list[tuple[int, int, str]]:

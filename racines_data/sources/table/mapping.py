@@ -13,6 +13,7 @@ import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from racines_data.errors import RacinesError
+from racines_data.sources.table.inputs import named_file
 
 Length = Literal["m", "cm", "mm"]
 TimeUnit = Literal["s", "ms", "us", "ns", "iso"]
@@ -342,8 +343,7 @@ def read_mapping(path: Path) -> Mapping:
     Raises:
         RacinesError: no such file, no YAML, or each unknown, missing or wrong key by its name.
     """
-    if not path.is_file():
-        raise RacinesError(f"{path}: no such file; racines data map FOLDER --guess writes one")
+    named_file(path, "racines data map FOLDER --guess writes a mapping")
     if path.stat().st_size > LARGEST:
         raise RacinesError(f"{path}: larger than {LARGEST} bytes: not a mapping")
     try:

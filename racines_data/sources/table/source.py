@@ -71,6 +71,7 @@ class TableSource(FolderSource):
     version = "0.1.0"
     Config = TableConfig
     card = CARD
+    reader = 2
     of_users = True
 
     @classmethod
@@ -149,10 +150,11 @@ def produce(unit: TableUnit, mapping: Mapping) -> Trajectory:
     wanted = np.unique(sweep.images)
     read = zip(wanted.tolist(), sweep.stack.read(wanted.tolist()), strict=True)
     made = {place: finish(image, images, sweep.stack.orientation) for place, image in read}
+    tolerance = mapping.poses.tolerance
     return recorded(
         unit,
         [made[place] for place in sweep.images.tolist()],
-        parameters=parameters_of(sweep.poses, sweep.wrench, tolerance=mapping.poses.tolerance),
+        parameters=parameters_of(sweep.poses, sweep.wrench, tolerance=tolerance, nearest=True),
         timestamps=sweep.times,
         controls=sweep.controls,
         views=sweep.views,

@@ -25,10 +25,11 @@ from racines_data.sources.folder import UNITS, parameters_of, recorded
 from racines_data.sources.gate.bounds import TRACKER, Bounds
 from racines_data.sources.gate.numbers import LENGTHS, likely_unit, rotation_faults
 from racines_data.sources.images import Kind, square
+from racines_data.sources.table.inputs import named_file
 from racines_data.views import RANDOM
 
-READER = 1
-"""Version of what this reader makes of a file; part of the recipe."""
+READER = 2
+"""Version of what this reader makes of a file; part of the recipe. 2: the nearest rotations."""
 FARTHEST = TRACKER.reach
 """No tracker sees a probe from farther away, m."""
 NEAREST = TRACKER.nearest
@@ -242,8 +243,7 @@ class TrackedSource:
         if not inputs:
             raise RacinesError("source tracked: name its files: --input SWEEP.igs.mha")
         for path in inputs:
-            if not path.is_file():
-                raise RacinesError(f"{path}: no such file")
+            named_file(path, "name a .igs.mha file")
         names = [_stem(path) for path in inputs]
         if len(set(names)) < len(names):
             raise RacinesError(f"two inputs have one name ({', '.join(sorted(names))}); rename one")
@@ -289,7 +289,7 @@ class TrackedSource:
         fields = [recording.frames[index] for index in unit.indices]
         matrices = np.stack([self._matrix(each) for each in fields])
         times = np.array([float(each["Timestamp"]) for each in fields])
-        parameters = parameters_of(matrices, tolerance=self.config.tolerance)
+        parameters = parameters_of(matrices, tolerance=self.config.tolerance, nearest=True)
         return recorded(unit, images, parameters=parameters, timestamps=times)
 
     def _check(self, recording: Recording) -> list[int]:

@@ -12,6 +12,7 @@ from racines_data.own import from_labels
 from racines_data.phantom.abdomen import BILE, CORTEX, GALLBLADDER_WALL, PYRAMID, SINUS, abdomen
 from racines_data.phantom.abdomen import LIVER as LIVER_TISSUE
 from racines_data.phantom.saved import Saved, read_saved
+from tests.data.pipes import fifo
 
 nibabel = pytest.importorskip("nibabel", reason="needs racines[anatomy]")
 organs = pytest.importorskip("tests.data.own.organs")
@@ -195,6 +196,15 @@ def test_what_is_no_label_map_of_the_sheet_is_refused(mapped: tuple, tmp_path: P
     _refused(tmp_path, tmp_path / "absent.nii.gz", SHEET, "no such file")
     mesh = SHEET | {"parts": SHEET["parts"] | {"x": {"mesh": "a.obj", "tissue": "bile"}}}
     _refused(tmp_path, fine, mesh, r"parts\.x\.mesh: a label map has no meshes")
+
+
+def test_no_fifo_is_waited_for(tmp_path: Path):
+    place = r"a FIFO, a socket or a device, where a file is needed"
+    with fifo(tmp_path / "map.nii.gz") as path:
+        _refused(tmp_path, path, SHEET, rf"map\.nii\.gz: {place}: name a label map, FILE\.nii\.gz")
+    with fifo(tmp_path / "own.yaml") as path, pytest.raises(RacinesError) as caught:
+        from_labels(tmp_path / "map.nii.gz", path, tmp_path / "out")
+    assert str(caught.value) == f"{path}: {place}: name a tissues.yaml (docs/own-anatomy.md)"
 
 
 def test_a_header_that_claims_more_than_memory_holds_is_not_read(tmp_path: Path):

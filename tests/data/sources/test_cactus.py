@@ -14,6 +14,7 @@ from racines_data.sources.cactus.source import CactusSource, sector_box
 from racines_data.sources.images import Kind
 from racines_data.validate.run import validate
 from racines_data.views import LABELS
+from tests.data.pipes import fifo
 
 PER_VIEW = 12
 WIDTH, HEIGHT = 320, 240
@@ -109,6 +110,32 @@ def test_grades_and_views_are_those_of_the_tables(tree: Path):
         assert np.array_equal(trajectory.grades, [p.grade for p in unit.pictures])
         assert set(trajectory.views) == {LABELS.index(unit.target_view)}
     assert made.report == []
+
+
+def test_no_fifo_is_waited_for_and_no_link_out_followed(tree: Path, tmp_path: Path):
+    image = next((tree / "Images Dataset" / "SC").glob("*.jpg"))
+    grades, aside = tree / "Grades" / "SC_grades.csv", tmp_path / "aside"
+    for place in (image, grades):
+        shutil.copy(place, aside)
+        place.unlink()
+        place.symlink_to(aside)
+        assert f"a link out of the folder, to {aside}: put" in refused(tree, place)
+        with fifo(place):
+            assert "a FIFO, a socket or a device, where a file is" in refused(tree, place)
+        shutil.copy(aside, place)
+
+
+def refused(root: Path, place: Path) -> str:
+    """Return why a file is refused: alone, or with the whole folder where it has the grades."""
+    made = source(root)
+    if place.suffix == ".csv":
+        with pytest.raises(RacinesError, match=f"grades: Grades/{place.name}: ") as caught:
+            made.plan()
+        return str(caught.value)
+    assert sum(unit.frames for unit in made.plan()) == 6 * PER_VIEW - 1
+    (finding,) = made.report
+    assert finding.refused and finding.file == place.relative_to(root).as_posix()
+    return finding.reason.removeprefix("unreadable image: ")
 
 
 def test_runs_are_contiguous_and_stay_in_their_folder(tree: Path):

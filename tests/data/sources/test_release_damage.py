@@ -11,6 +11,7 @@ from racines_data import RacinesError
 from racines_data.build.dataset import DataConfig, build
 from racines_data.sources.release.layout import parse_log
 from racines_data.validate.run import validate
+from tests.data.pipes import fifo
 from tests.data.release_helpers import IMAGES, LOGS, TOTAL, change, planned, pose_of, source
 from tests.data.release_tree import (
     FRAMES,
@@ -148,6 +149,36 @@ def test_strict_stops_at_the_first(tree: Path, tmp_path: Path, kind: str):
     with pytest.raises(RacinesError, match=f"strict.*{file}.*{kind}: "):
         build(source(tree), tmp_path / "racines", DataConfig(workers=1, strict=True))
     assert not (tmp_path / "racines").exists()
+
+
+@pytest.mark.parametrize(
+    ("file", "kind"),
+    [(f"{IMAGES}/img3.png", "unreadable image"), (f"{LOGS}/PA_3.txt", "unreadable log")],
+)
+def test_no_fifo_is_waited_for_and_no_link_out_followed(tree: Path, file: str, kind: str):
+    place, aside = tree / file, tree.parent / "aside"
+    shutil.copy(place, aside)
+    place.unlink()
+    place.symlink_to(aside)
+    frames, (finding,) = planned(tree)
+    assert frames == TOTAL - 1 and finding.file == file
+    told = f"{kind}: a link out of the folder, to {aside}: put the file itself there"
+    assert finding.reason == told
+    with fifo(place):
+        frames, (finding,) = planned(tree)
+    assert frames == TOTAL - 1 and finding.file == file
+    assert finding.reason.startswith(f"{kind}: a FIFO, a socket or a device, where a file is")
+
+
+def test_a_linked_folder_is_not_followed_and_no_double_opened(tree: Path):
+    (tree / IMAGES).rename(tree.parent / "aside")
+    (tree / IMAGES).symlink_to(tree.parent / "aside")
+    frames, report = planned(tree)
+    assert frames == TOTAL - FRAMES and len(report) == FRAMES
+    assert all("a link out of the folder" in finding.reason for finding in report)
+    with fifo(tree / LOGS / "PA_03.txt"):
+        _, report = planned(tree)
+    assert "they differ, none is used" in report[0].reason
 
 
 def test_every_truncation_is_seen_before_decoding(tree: Path):

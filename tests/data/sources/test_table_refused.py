@@ -13,6 +13,7 @@ from racines_data.build.dataset import DataConfig, build
 from racines_data.errors import RacinesError
 from racines_data.sources.table import TableSource
 from racines_data.sources.table.inputs import open_folder
+from tests.data.pipes import fifo
 from tests.data.sources.table_folder import (
     COUNT,
     ROBOT,
@@ -125,7 +126,6 @@ def test_links_out_fifos_folders_and_names_that_lead_out(folder: Path):
 
 
 def test_headers_that_claim_what_no_memory_holds(folder: Path):
-    images = np.zeros((COUNT, 48, 64), np.uint8)
     header = {"descr": "|u1", "fortran_order": False, "shape": (COUNT, 40_000, 42_000)}
     with (folder / "scan.npy").open("wb") as file:
         np.lib.format.write_array_header_1_0(file, header)
@@ -141,38 +141,30 @@ def test_headers_that_claim_what_no_memory_holds(folder: Path):
     )
     told = refusal(folder, changed(ROBOT, images__path="scan.mha"))
     assert "scan.mha: DimSize 40000 42000 24: more than 64,000,000 pixels" in told
-    write_images(folder, images, ".avi")
-    content = (folder / "scan.avi").read_bytes()
-    size, large = struct.pack("<II", 64, 48), struct.pack("<II", 40_000, 42_000)
-    (folder / "scan.avi").write_bytes(content.replace(size, large))
-    told = refusal(folder, changed(ROBOT, images__path="scan.avi"))
-    assert "scan.avi: " in told and ("42000" in told or "damaged" in told)
 
 
-def test_a_video_of_forty_gigabytes(folder: Path, monkeypatch: pytest.MonkeyPatch):
-    """By its header alone: were a frame of it decoded, this would fail."""
-    av = pytest.importorskip("av", reason="PyAV ABSENT: pip install 'racines[import]'")
+def test_a_video_of_forty_gigabytes(folder: Path):
+    """By the header of a real AVI alone: its frames hold 48×64 pixels, and none can be decoded."""
     write_images(folder, np.zeros((COUNT, 48, 64), np.uint8), ".avi")
-    opened = av.open
-
-    class Large:
-        """A container whose header says more."""
-
-        def __init__(self, *args, **kwargs):
-            self.own = opened(*args, **kwargs)
-            codec = type("Codec", (), {"width": 8000, "height": 5000, "thread_count": 1})
-            stream = type("Stream", (), {"frames": 1000, "codec_context": codec()})()
-            self.streams = type("Streams", (), {"video": [stream]})
-
-        def __enter__(self):
-            return self
-
-        def __exit__(self, *_):
-            self.own.close()
-
-    monkeypatch.setattr(av, "open", Large)
+    claim_size(folder / "scan.avi", 8000, 5000, 1000)
     told = refusal(folder, changed(ROBOT, images__path="scan.avi"))
-    assert "1000 images of 8000×5000, 40 GB once decoded: at most 32" in told
+    assert "scan.avi: its header says 1000 images of 8000×5000, 40 GB once decoded" in told
+    assert "at most 32; damaged, or cut it into sweeps of their own files" in told
+    claim_size(folder / "scan.avi", 8000, 5000, COUNT + 1)
+    told = refusal(folder, changed(ROBOT, images__path="scan.avi"))
+    assert f"scan.avi: truncated: {COUNT} of {COUNT + 1} frames are there" in told
+
+
+def claim_size(path: Path, width: int, height: int, count: int) -> None:
+    """Let an AVI's header claim images of another size and number; its data stay as they are."""
+    content = bytearray(path.read_bytes())
+    # A chunk is its name, its length, and fields of four bytes; see Microsoft's AVI RIFF reference.
+    main, stream, shape = (content.index(name) + 8 for name in (b"avih", b"strh", b"strf"))
+    struct.pack_into("<II", content, main + 32, width, height)
+    struct.pack_into("<II", content, shape + 4, width, height)
+    struct.pack_into("<I", content, main + 16, count)
+    struct.pack_into("<I", content, stream + 32, count)
+    path.write_bytes(content)
 
 
 @pytest.mark.parametrize("ending", [".mp4", ".avi", ".npy", ".dcm", ".mha"])
@@ -201,6 +193,17 @@ def test_tables_that_are_none(folder: Path):
     assert "no column 'qq'; it has t, x" in refusal(
         folder, changed(ROBOT, poses__rotation__columns=["qq", "qx", "qy", "qz"])
     )
+
+
+def test_a_mapping_that_is_a_fifo_or_a_link_to_nothing(folder: Path):
+    with fifo(folder / "mapping.yaml") as path, pytest.raises(RacinesError) as caught:
+        TableSource.from_config({}, [folder])
+    remedy = "racines data map FOLDER --guess writes a mapping"
+    told = f"{path}: a FIFO, a socket or a device, where a file is needed: {remedy}"
+    assert str(caught.value) == told
+    path.symlink_to("nowhere")
+    with pytest.raises(RacinesError, match=rf"mapping\.yaml: a link to nothing: {remedy}"):
+        TableSource.from_config({}, [folder])
 
 
 def test_floats_and_sixteen_bits_are_refused(folder: Path):

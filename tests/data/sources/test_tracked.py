@@ -19,6 +19,7 @@ from racines_data.sources.tracked.source import (
     upright,
 )
 from racines_data.validate.run import validate
+from tests.data.pipes import fifo
 
 REAL = Path(os.environ.get("RACINES_REAL", Path(__file__).parents[3] / ".." / "shared" / "real"))
 SPINE, NWIRE = (REAL / f"{name}PhantomFreehand.igs.mha" for name in ("Spine", "Nwire"))
@@ -72,6 +73,18 @@ def write_sequence(
     header = "".join(f"{key} = {value}\n" for key, value in fields.items())
     path.write_bytes(header.encode() + b"ElementDataFile = LOCAL\n" + content)
     return path
+
+
+def test_no_fifo_is_waited_for_and_no_link_to_nothing_read(tmp_path: Path):
+    with fifo(tmp_path / "a.igs.mha") as path, pytest.raises(RacinesError) as caught:
+        source(path)
+    told = f"{path}: a FIFO, a socket or a device, where a file is needed: name a .igs.mha file"
+    assert str(caught.value) == told
+    path.symlink_to(tmp_path / "absent.igs.mha")
+    with pytest.raises(RacinesError, match=r"a\.igs\.mha: a link to nothing: name a"):
+        source(path)
+    with pytest.raises(RacinesError, match="a folder, where a file is needed: name a"):
+        source(tmp_path)
 
 
 def source(*paths: Path, **settings) -> TrackedSource:

@@ -24,6 +24,10 @@ from racines_data.sources.table.sweeps import Draft, Sweep
 _MOST = 0.5
 """Share of the rows from which on a fault is one of the mapping, and not of the rows."""
 _FEWEST = 6
+_DISTANCE, _PACE = 0.5, 0.01
+"""Ordinary distance of a probe from the origin, m, and its ordinary speed, m/s."""
+_COLUMN = 0.1
+"""So near to the origin stands a robot's own first joint, and no probe, m."""
 _WORDS = {"s": "seconds", "ms": "milliseconds", "us": "microseconds", "ns": "nanoseconds"}
 
 
@@ -85,17 +89,56 @@ def _lengths(mapping: Mapping, drafts: Sequence[Draft], bounds: Bounds) -> Itera
     # Before a tracker's frame is carried into the robot's, it may be farther away.
     moved = mapping.calibration.tracker_to_base is not None or mapping.poses.invert
     reach = max(bounds.reach, TRACKER.reach) if moved else bounds.reach
-    usual = float(np.median(size))
-    if usual > reach or float(size.max()) < bounds.nearest:
-        raw = usual / LENGTHS[unit]
-        others = {name: each for name, each in LENGTHS.items() if name != unit}
-        likely = likely_unit(raw, others, max(bounds.nearest, 0.01), reach, 0.5)
-        detail = f"the probe is {usual:.4g} m from the origin when read in {unit}"
-        name = str(LENGTH_KINDS[likely]) if likely else str(Kind.OUT_OF_REACH)
-        remedy = f"set unit: {likely}" if likely else "name the columns of the position"
-        if not likely and bounds.reach < TRACKER.reach and usual <= TRACKER.reach:
+    usual, largest = float(np.median(size)), float(size.max())
+    others = {name: each / LENGTHS[unit] for name, each in LENGTHS.items() if name != unit}
+    detail = f"the probe is {usual:.4g} m from the origin when read in {unit}"
+    if usual > reach or largest < bounds.nearest:
+        low = max(bounds.nearest, 0.01)
+        fits = _likely_lengths(usual, _speed(drafts, bounds), others, low, reach)
+        name = str(LENGTH_KINDS[fits[0]]) if fits else str(Kind.OUT_OF_REACH)
+        remedy = _set_unit(fits) if fits else "name the columns of the position"
+        if not fits and bounds.reach < TRACKER.reach and usual <= TRACKER.reach:
             field, remedy = "frame", f"beyond a robot's {bounds.reach:g} m: set frame: tracker"
         yield Doubt(name, field, detail, remedy)
+    elif mapping.frame == "robot" and not moved and largest < _COLUMN:
+        fits = _likely_lengths(usual, _speed(drafts, bounds), others, _COLUMN, reach)
+        if fits:
+            detail += f", and within {_COLUMN:g} m of it stands a robot's own base"
+            remedy = f"{_set_unit(fits)}, or frame: tracker if the origin is no robot's base"
+            yield Doubt(str(LENGTH_KINDS[fits[0]]), field, detail, remedy, certain=False)
+
+
+def _set_unit(fits: Sequence[str]) -> str:
+    return f"set unit: {fits[0]}" + (f" ({fits[1]} fits too)" if len(fits) > 1 else "")
+
+
+def _likely_lengths(
+    size: float, speed: float, ratios: dict[str, float], low: float, high: float
+) -> list[str]:
+    """Return the units in which a probe would lie within [low, high] m, the likely one first.
+
+    A distance of 197 may be millimetres or centimetres: then the speed tells, where it is known.
+    """
+
+    def unlikely(unit: str) -> float:
+        moved = abs(math.log(speed * ratios[unit] / _PACE)) if speed > 0 else 0.0
+        return abs(math.log(size * ratios[unit] / _DISTANCE)) + moved
+
+    return sorted(
+        (unit for unit, each in ratios.items() if low <= size * each <= high), key=unlikely
+    )
+
+
+def _speed(drafts: Sequence[Draft], bounds: Bounds) -> float:
+    """Return the usual speed of the probe as read, m/s; 0 where the times do not tell."""
+    found = [np.zeros(0)]
+    for draft in drafts:
+        steps = np.diff(draft.times)
+        moved = np.linalg.norm(np.diff(draft.poses[:, :3, 3], axis=0), axis=1)
+        good = (steps >= bounds.shortest) & (steps <= bounds.longest) & np.isfinite(moved)
+        found.append(moved[good] / steps[good])
+    speeds = np.concatenate(found)
+    return float(np.median(speeds)) if len(speeds) else 0.0
 
 
 def _quaternions(drafts: Sequence[Draft], rotation: Quaternion) -> Iterator[Doubt]:
