@@ -19,7 +19,7 @@ MOVED = {
         "card_plots=plots card_realism=realism card_rewrite=rewrite card_samples=pictures "
         "card.samples=pictures card_sections=markdown card.sections=markdown "
         "card_statistics=frames card.statistics=frames card_tables=frames croissant "
-        "croissant_rai=croissant card.croissant_rai=croissant datasheet=croissant"
+        "croissant_rai=croissant card.croissant_rai=croissant datasheet=datasheet"
     ),
     "racines_data.cli": (
         "cli_card=dataset cli_export=dataset cli_hub=dataset cli_import=build cli_phantom=dataset"

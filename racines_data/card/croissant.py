@@ -1,4 +1,4 @@
-"""What a dataset says of itself: `croissant.json` to machines, the datasheet to reviewers.
+"""What a dataset says of itself to machines: `croissant.json`.
 
 Format: Croissant 1.1 and Croissant RAI 1.0 (mlcommons.org/croissant). The file lists the Parquet
 files with size and sha256, a file set for each config and for each of its splits, and a record set
@@ -6,9 +6,6 @@ for each config that has files of its own. It cannot list itself; `manifest.json
 
 File sets are relative to the file's folder: `mlcroissant.Dataset("croissant.json")` reads a local
 copy of the dataset, streamed shard by shard.
-
-The datasheet asks the questions of Gebru et al., Datasheets for Datasets (2021). What Croissant's
-responsible-AI fields say too is taken from there, so that the two agree.
 """
 
 import json
@@ -16,14 +13,14 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from datasets import ClassLabel, Features, Image
+from datasets import Features, Image
 
-from racines_data.card.frames import unit_of
-from racines_data.escape import visible
+from racines_data.card.columns import describe_column
+from racines_data.card.datasheet import rai_fields
+from racines_data.card.rights import rights_fields
 from racines_data.files import sha256_file, write_atomic
 from racines_data.manifest import (
     CROISSANT,
-    MULTI_PHANTOM,
     added_configs,
     config_manifest,
     describe,
@@ -31,13 +28,12 @@ from racines_data.manifest import (
     manifest_labels,
 )
 from racines_data.records import features_of
-from racines_data.schema import CONTROLS, PARAMETERS, SPLITS, trajectory_features
-from racines_data.sources.base import PROJECT, maker_of, manifest_card
+from racines_data.schema import SPLITS, trajectory_features
+from racines_data.sources.base import PROJECT, maker_of
 from racines_data.sources.licence import credited
 
 _PARQUET = "application/x-parquet"
 _CONFORMS = ("http://mlcommons.org/croissant/1.1", "http://mlcommons.org/croissant/RAI/1.0")
-_URLS = {"cc-by-4.0": "https://creativecommons.org/licenses/by/4.0/"}
 _TYPES = {"string": "sc:Text"} | {
     name: f"cr:{name.capitalize()}" for name in ("int32", "int64", "float32", "float64")
 }
@@ -63,111 +59,6 @@ _CONTEXT = {
     "rai": "http://mlcommons.org/croissant/RAI/",
     "sc": "https://schema.org/",
 }
-_COLUMNS = {
-    "image": "The frame: 8-bit gray, 128 by 128, beam axis down, probe at the top centre; PNG.",
-    "timestamp": "Time of the frame, s; null where there is no clock.",
-    "view": "What the frame shows; null where unknown.",
-    "grade": "Quality of the view, 0-10; null where unknown.",
-    "view_predicted": "The view by a trained grader; null until annotated.",
-    "grade_predicted": "The grade, 0-10, by a trained grader; null until annotated.",
-    "target_view": "What the sweep aimed at; Random for none.",
-    "phantom": "Seed of the simulated anatomy, 0 the canonical one; null for recordings.",
-    "source": "Where the frame comes from.",
-    "session": "Recording session.",
-    "trajectory": "Name of the sweep; a sweep lies wholly in one split.",
-    "frame": "Number of the frame in its trajectory.",
-    "patient": "Seed of the simulated patient; a patient lies wholly in one split.",
-    "cardiac_phase": "Where the heart is in its beat, in [0, 1) from end diastole.",
-    "respiratory_phase": "Where the chest is in its breath, in [0, 1) from breathed out.",
-    "turn_angle": "Angle of the turn about the apex, in [0, 180) degrees.",
-    "train_angle": "Angle from the turn to the nearest turn of the train split, degrees.",
-    "mask": "Label of what each pixel of the image shows; PNG; null where there are no masks.",
-    "split": "Split of the trajectory.",
-    "frames": "Number of frames of the trajectory.",
-    "duration": "Duration of the trajectory, s.",
-    "digest": "sha256 of the trajectory's pixels and numbers.",
-}
-_USES = (
-    "Training and scoring of image generators conditioned on the probe's pose and force, of view "
-    "and grade classifiers, and of scanning agents, on the RACINES leaderboard. Not for: "
-    "diagnosis, guidance of examinations of people, or claims about clinical performance. "
-    "Research software, not a medical device."
-)
-_IMPACT = (
-    "Meant to make research on robotic ultrasound reproducible without access to a robot or to "
-    "patients' data. The risk is overconfidence: a system that does well here has been shown to do "
-    "well on a phantom only."
-)
-_PREPROCESSING = "Frames are 8-bit gray, padded to a square where needed, 128 by 128; PNG."
-_MAINTENANCE = (
-    "Versions are semantic and tagged `SOURCE-vX.Y.Z`; a tag is never moved. Each version has a "
-    "content digest and a recipe digest, and every file a sha256. A fault found is corrected in a "
-    "new version and named in the changelog; old versions stay available."
-)
-_MADE = "The developers of RACINES, an open benchmark (Apache-2.0 code)."
-_BROUGHT = "RACINES, an open benchmark, has the tool of the import alone."
-_SHEET = {
-    "Motivation": {
-        "For what purpose was it made?": "To let image generators and scanning agents for robotic "
-        "cardiac ultrasound be trained, scored and compared by anyone: each frame comes with the "
-        "probe's pose, force and torque. It follows the RACINES dataset of the paper that "
-        "introduced the task.",
-        "Who made it?": "{maker}",
-        "Is there a model behind the simulated sources?": "Yes: a parametric heart in a gel block, "
-        "its acoustics and its contact with a probe, all in `racines_data/phantom`. Only the "
-        "source `phantom` is simulated.",
-    },
-    "Composition": {
-        "What are the instances?": "{instances}.",
-        "What does each consist of?": "An image of 128×128 gray pixels, twelve numbers of pose, "
-        "force and torque, the commanded velocity, a time, a view and a grade: the table of "
-        "columns above.",
-        "Is anything missing?": "{dataCollectionMissingData}",
-        "Are relations between instances explicit?": "Neighbouring rows of a trajectory are "
-        "consecutive frames of one sweep, hence near-copies; `trajectory`, `frame` and `session` "
-        "say so. Two neighbouring rows are a transition (state, action, next state).",
-        "Are there recommended splits?": "Yes, `train`, `validation` and `test`, by whole "
-        "trajectories and stratified by target view. Do not split by frame: the near-copies would "
-        "leak.",
-        "Are there errors, noise or bias?": "{dataBiases}",
-        "Does it hold personal or sensitive data?": "{personalSensitiveInformation}",
-    },
-    "Collection": {
-        "How was the data acquired?": "{dataCollection}",
-        "With what software?": "`racines data build` (sources `phantom`, `tracked`) and `racines "
-        "data import` (`release`, `cactus`); version, settings, seed and inputs are the recipe in "
-        "`manifest.json`.",
-        "Were people involved, and was there an ethical review?": "The sources `phantom`, "
-        "`release` and `cactus` show a phantom: no person was scanned. For `tracked`, whoever "
-        "imports recordings of people answers for consent and review.",
-    },
-    "Preprocessing, labelling": {
-        "Was the data preprocessed?": "{dataPreprocessingProtocol}",
-        "How was it labelled?": "{dataAnnotationProtocol}",
-        "Was anything refused?": "{refused_frames:,} frames refused, {flagged:,} inputs flagged; "
-        "`import_report.parquet` gives each with its reason.",
-    },
-    "Uses": {
-        "What is it for, and what not?": "{dataUseCases}",
-        "What limits its use?": "{dataLimitations}",
-        "What could go wrong?": "{dataSocialImpact}",
-    },
-    "Distribution": {
-        "Under what licence?": "{rights}",
-        "How is it distributed?": "As a folder of Parquet files that `datasets` reads, built from "
-        "its recipe by one command or fetched from a hub under its tag `{tag}`. `croissant.json`, "
-        "where present, describes it for other readers.",
-    },
-    "Maintenance": {
-        "Who maintains it, and how is it versioned?": "{dataReleaseMaintenancePlan}",
-        "Where are errors recorded?": "An error is corrected in a new version, never in place; "
-        "`racines data validate` checks files, digests, splits, labels and statistics of any copy.",
-        "Can others extend it?": "Yes: another source, organ or recording is a plug-in (entry "
-        "points `racines.sources` and `racines.anatomies`); see `docs/dataset.md` and "
-        "`docs/phantom.md` of the repository.",
-    },
-}
-"""Questions and answers by section; in braces what the dataset says itself."""
 
 
 def add_croissant(manifest: dict[str, Any], folder: Path) -> None:
@@ -181,14 +72,13 @@ def add_croissant(manifest: dict[str, Any], folder: Path) -> None:
 def write_croissant(manifest: Mapping[str, Any], folder: Path) -> str:
     """Return `croissant.json` of a dataset; files that the manifest has not are hashed."""
     source, version = manifest["source"], manifest["version"]
-    license_ = manifest_card(manifest).license
     document: dict[str, Any] = {
         "@context": _CONTEXT,
         "@type": "sc:Dataset",
         "name": f"racines-{source}",
         "description": f"RACINES, robotic cardiac ultrasound: {describe(manifest)}.",
         "conformsTo": list(_CONFORMS),
-        "license": _URLS.get(license_, license_),
+        **rights_fields(manifest),
         "version": version,
         "keywords": ["ultrasound", "echocardiography", "robotics", source],
         **_credit(manifest),
@@ -218,33 +108,6 @@ def _credit(manifest: Mapping[str, Any]) -> dict[str, Any]:
         f"{source} {manifest['version']}}}, note = {{content sha256 {digest}}}}}"
     )
     return {"creator": creators[0] if len(creators) == 1 else creators, "citeAs": cite}
-
-
-def rai_fields(manifest: Mapping[str, Any]) -> dict[str, Any]:
-    """Return what a user should know before using a dataset: its properties `rai:`, by name."""
-    card, report = manifest_card(manifest), manifest.get("report", {})
-    grader = manifest.get("annotation", {}).get("grader")
-    tools = [f"RACINES grader, weights sha256 {grader}"] if grader else []
-    missing = (
-        f"Measurements that are not known are null. {report.get('refused_frames', 0)} frames were "
-        f"refused and {report.get('flagged', 0)} inputs flagged; import_report.parquet gives each "
-        "with its reason."
-    )
-    return {
-        "rai:dataCollection": card.collection,
-        "rai:dataCollectionType": [card.collection_type],
-        "rai:dataCollectionMissingData": missing,
-        "rai:dataCollectionRawData": f"Recipe sha256 {manifest['recipe_digest']}, in the manifest.",
-        "rai:dataPreprocessingProtocol": [_PREPROCESSING],
-        "rai:dataAnnotationProtocol": card.annotation,
-        "rai:machineAnnotationTools": tools,
-        "rai:dataUseCases": [_USES],
-        "rai:dataBiases": [card.biases],
-        "rai:dataLimitations": [card.limitations],
-        "rai:dataSocialImpact": _IMPACT,
-        "rai:personalSensitiveInformation": [card.personal],
-        "rai:dataReleaseMaintenancePlan": _MAINTENANCE,
-    }
 
 
 def config_features(manifest: Mapping[str, Any], config: str) -> Features:
@@ -293,7 +156,7 @@ def _record_sets(manifest: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
         if path.split("/")[1] != config:
             continue  # `sessions`: the rows of `frames` in other splits; its file sets say which
         row = "trajectory" if config == "trajectories" else "frame"
-        fields = list(_fields(config, config_features(manifest, config)))
+        fields = list(_fields(config, manifest))
         told = f"The config {config}: one row a {row}."
         yield {**_node("cr:RecordSet", config, told), "field": fields}
 
@@ -308,14 +171,15 @@ def _field(
     }
 
 
-def _fields(config: str, features: Features) -> Iterator[dict[str, Any]]:
+def _fields(config: str, manifest: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
+    features, own = config_features(manifest, config), config_manifest(manifest, config)
     if "split" not in features:
         told = "Split of the row, from the name of its file; see the record set `splits`."
         path = rf"^.*data/{config}/({'|'.join(SPLITS)})-.+\.parquet$"
         source = {"extract": {"fileProperty": "fullpath"}, "transform": {"regex": path}}
         yield _field(config, "split", told, "sc:Text", source)
     for name, feature in features.items():
-        told, source = _describe_column(name, feature), {"extract": {"column": name}}
+        told, source = describe_column(name, feature, own), {"extract": {"column": name}}
         if isinstance(feature, Image):
             kind, source = "sc:ImageObject", {**source, "transform": {"jsonPath": "bytes"}}
         else:
@@ -328,47 +192,3 @@ def _node(kind: str, name: str, description: str = "") -> dict[str, Any]:
     told = name.rpartition("/")[2] if kind == "cr:Field" else name
     head = {"@type": kind, "@id": name, "name": told}
     return {**head, "description": description} if description else head
-
-
-def _describe_column(name: str, feature: Any) -> str:
-    kind, _, axis = name.partition("_")
-    if name in PARAMETERS:
-        euler = "; extrinsic xyz Euler angle" if kind == "rotation" else ""
-        return f"{kind.capitalize()} {axis}, {unit_of(name)}, robot base frame{euler}; nullable."
-    if name in CONTROLS:
-        unit = "rad/s" if axis.startswith("r") else "m/s"
-        return f"Commanded velocity {axis}, {unit}, robot base frame; null where unknown."
-    names = f" One of {', '.join(feature.names)}." if isinstance(feature, ClassLabel) else ""
-    return f"{_COLUMNS[name]}{names}"
-
-
-def datasheet(manifest: Mapping[str, Any]) -> str:
-    """Return the datasheet as Markdown, headed by one `###` a section."""
-    counts, many = manifest["counts"], manifest.get(MULTI_PHANTOM)
-    instances = (
-        f"Ultrasound frames: {counts['frames']:,} in {counts['trajectories']:,} trajectories of "
-        f"{len(counts['sessions'])} session(s)"
-    )
-    if many:
-        instances += (
-            f"; and, in `{MULTI_PHANTOM}`, {many['frames']:,} of {many['hearts']} other simulated "
-            "hearts"
-        )
-    for name in added_configs(manifest):
-        own = manifest[name]["counts"]
-        instances += (
-            f"; and, in `{name}`, {own['frames']:,} of {own['patients']} simulated patients"
-        )
-    told = {
-        name.removeprefix("rai:"): text if isinstance(text, str) else " ".join(text)
-        for name, text in rai_fields(manifest).items()
-    }
-    told |= {**manifest["report"], "instances": instances, "rights": manifest_card(manifest).rights}
-    maker = maker_of(manifest)
-    told["maker"] = _MADE if maker == PROJECT else f"{maker}. {_BROUGHT}"
-    told |= {"tag": visible(manifest.get("tag", manifest["version"])).replace("`", "'")}
-    return "\n\n".join(
-        f"### {title}\n\n"
-        + "\n\n".join(f"**{ask}** {answer.format_map(told)}" for ask, answer in asked.items())
-        for title, asked in _SHEET.items()
-    )

@@ -4,7 +4,7 @@ The figures are those of the twelve parameters, and shares of classes and grades
 """
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
+from racines_data.card.columns import unit_of
 from racines_data.imaging import IMAGE_SIZE
 from racines_data.manifest import (
     METADATA,
@@ -23,7 +24,7 @@ from racines_data.manifest import (
 from racines_data.records import PIXELS
 from racines_data.schema import PARAMETERS, SPLITS
 from racines_data.sources.base import manifest_card
-from racines_data.tables import Markdown, code, markdown_table
+from racines_data.tables import code, markdown_table
 from racines_data.views import LABELS, PAPER_STATISTICS, VIEW_TITLES
 
 CACTUS_COUNTS = {"A4C": 7422, "SC": 6345, "PL": 6102, "PSAV": 5832, "PSMV": 6014, "Random": 6021}
@@ -32,56 +33,10 @@ CACTUS_COUNTS = {"A4C": 7422, "SC": 6345, "PL": 6102, "PSAV": 5832, "PSMV": 6014
 GRADE_EDGES = np.array([0.0, *np.arange(0.5, 10.0), 10.001])
 """Bins of grades: half a grade to each side of 0, 1, … 10."""
 
-COLUMNS = (
-    ("image", "PNG, 8-bit gray", "", "128×128; beam axis down, probe at the top centre"),
-    ("force_x, force_y, force_z", "float32", "N", "force at the wrist sensor; null if unmeasured"),
-    ("torque_x, torque_y, torque_z", "float32", "N·m", "torque there; null if unmeasured"),
-    ("position_x, position_y, position_z", "float32", "m", "probe's tip, robot base frame"),
-    ("rotation_x, rotation_y, rotation_z", "float32", "rad", "extrinsic xyz Euler angles"),
-    ("timestamp", "float64", "s", "increases along a trajectory"),
-    ("control_x, control_y, control_z", "float32", "m/s", "commanded velocity; null if unknown"),
-    ("control_rx, control_ry, control_rz", "float32", "rad/s", "commanded rate; null if unknown"),
-    ("view", "label", "", "what the frame shows; null if unknown"),
-    ("grade", "float32", "", "quality of the view, 1–10, 0 where there is none; null if unknown"),
-    ("view_predicted", "label", "", "a grader's opinion; null until annotated"),
-    ("grade_predicted", "float32", "", "a grader's opinion; null until annotated"),
-    ("target_view", "string", "", "what the sweep aimed at; Random for nothing"),
-    ("phantom", "int32", "", "seed of the simulated anatomy, 0 the canonical; null if recorded"),
-    ("source", "label", "", "where the frame comes from"),
-    ("session", "string", "", "recording session; in `multi_phantom` the heart"),
-    ("trajectory", "string", "", "sweep; wholly in one split"),
-    ("frame", "int32", "", "number of the frame in its trajectory, from 0"),
-)
-"""Name, type, unit and meaning of the columns of `frames`."""
-PATIENT_COLUMNS = (
-    ("patient", "int64", "", "seed of the patient; wholly in one split"),
-    ("cardiac_phase", "float64", "", "of the beat, in [0, 1) from end diastole; 0 where still"),
-    ("respiratory_phase", "float64", "", "of the breath, in [0, 1) from breathed out; 0 if still"),
-    ("mask", "PNG, 8-bit labels", "", "what each pixel shows; null where none was asked for"),
-)
-"""The same of what frames of patients have besides."""
-TURN_COLUMNS = (
-    ("cardiac_phase", "float64", "", "of the beat, in [0, 1); null where the heart is still"),
-    ("turn_angle", "float64", "°", "of the turn about the apex, in [0, 180): then it is mirrored"),
-    ("train_angle", "float64", "°", "from there to the nearest turn of the train split"),
-)
-"""The same of what frames of a rotation about the apex have besides."""
-
-
-PIXELS_UNIT = "pixels"
-"""Unit of positions where the scale is not known."""
-
 
 def has_paper(manifest: Mapping[str, Any]) -> bool:
     """Return whether the paper's statistics are the measure of this dataset: a heart with poses."""
     return manifest_card(manifest).like_paper and manifest_labels(manifest) == LABELS
-
-
-def unit_of(parameter: str, scaled: bool = True) -> str:
-    """Return the SI unit of a parameter; without a known scale positions are in pixels."""
-    length = "m" if scaled else PIXELS_UNIT
-    units = {"force": "N", "torque": "N·m", "position": length, "rotation": "rad"}
-    return units[parameter.partition("_")[0]]
 
 
 @dataclass(frozen=True)
@@ -182,12 +137,6 @@ def number(value: float, digits: int = 4) -> str:
     """Return a number with a fixed number of digits and a true minus, none before zero."""
     text = f"{value:.{digits}f}"
     return text.replace("-", "" if not float(text) else "−")
-
-
-def columns_table(columns: Sequence[tuple[str, str, str, str]] = COLUMNS) -> str:
-    """Return a table of columns, those of `frames` by default."""
-    rows = [(Markdown(f"`{names}`".replace(", ", "`, `")), *about) for names, *about in columns]
-    return markdown_table(("column", "type", "unit", "meaning"), rows)
 
 
 def splits_table(manifest: Mapping[str, Any]) -> str:

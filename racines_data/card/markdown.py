@@ -6,7 +6,16 @@ from typing import Any
 import yaml
 
 from racines_data.card import frames
-from racines_data.card.croissant import config_features, datasheet, rai_fields
+from racines_data.card.answers import introduction, split_by
+from racines_data.card.columns import (
+    PIXELS_UNIT,
+    TURN_COLUMNS,
+    columns_table,
+    frame_columns,
+    frame_note,
+)
+from racines_data.card.croissant import config_features
+from racines_data.card.datasheet import datasheet, rai_fields
 from racines_data.card.patients import patients_section
 from racines_data.card.realism import realism_section
 from racines_data.escape import visible
@@ -23,11 +32,7 @@ from racines_data.tables import Markdown, code, escape, markdown_table
 from racines_data.views import LABELS
 
 _SIZES = ((10**3, "n<1K"), (10**4, "1K<n<10K"), (10**5, "10K<n<100K"), (10**6, "100K<n<1M"))
-_INTRODUCTION = """\
-Ultrasound frames for robotic scanning: each image with the probe's pose, force and torque, the view
-it shows and its grade, in sweeps towards standard views and at random. For training and scoring
-image generators, view graders and scanning agents.
-
+_WARNING = """\
 **This is research software, not a medical device.** Nothing here is for clinical use."""
 _LOADING = """\
 ```python
@@ -83,11 +88,12 @@ def write_card(manifest: Mapping[str, Any]) -> str:
     parts = [
         f"**Source: {code(source)} — {card.origin}.**",
         f"# RACINES, {escape(f'{source} {version}')}",
-        _INTRODUCTION,
+        introduction(manifest),
+        _WARNING,
         _picture(manifest, "samples"),
         "## What a row is",
-        f"One frame. Robot base frame, SI units; views are {views}, and `Random` for none of them.",
-        frames.columns_table(),
+        f"One frame. {frame_note(manifest)}; views are {views}, and `Random` for none of them.",
+        columns_table(frame_columns(manifest)),
         *_turned(manifest),
         "## Configs and splits",
         "\n".join(_configs(manifest)),
@@ -163,8 +169,7 @@ def _front_matter(manifest: Mapping[str, Any]) -> dict[str, Any]:
 def _configs(manifest: Mapping[str, Any]) -> Iterator[str]:
     """Yield a line for each config."""
     held, many = manifest["held_out_session"], manifest.get(MULTI_PHANTOM)
-    by = "angle of the turn" if is_turned(manifest) else "trajectory, stratified by target view"
-    yield f"- `frames` (default): one row a frame; splits by {by}."
+    yield f"- `frames` (default): one row a frame; splits by {split_by(manifest)}."
     yield "- `trajectories`: one row a trajectory, in the same splits, with its digest."
     if held is None:
         yield "- No `sessions` config: there is only one session, so none can be held out."
@@ -190,7 +195,7 @@ def _turned(manifest: Mapping[str, Any]) -> Iterator[str]:
         return
     turns = manifest["turns"]
     yield "Besides, of a rotation about the apex:"
-    yield frames.columns_table(frames.TURN_COLUMNS)
+    yield columns_table(TURN_COLUMNS)
     blocks = "one wide block" if turns["split"] == "gap" else "several narrow blocks"
     yield (
         f"{turns['count']} turns, each a trajectory of {turns['phases']} phases of one beat. "
@@ -280,7 +285,7 @@ def _picture(manifest: Mapping[str, Any], name: str) -> str:
         return ""
     measured, graded = manifest["statistics"]["parameters"], _graded(manifest)
     values = ["grade"] * graded
-    length = "mm" if scale_known(manifest) else frames.PIXELS_UNIT
+    length = "mm" if scale_known(manifest) else PIXELS_UNIT
     values += [f"position ({length})", "rotation (degrees)"] * ("position_x" in measured)
     values += ["force (N)"] * ("force_x" in measured)
     order = "from the best grade to the worst" if graded else "from bright to dark"

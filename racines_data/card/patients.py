@@ -3,7 +3,7 @@
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from racines_data.card.frames import PATIENT_COLUMNS, columns_table
+from racines_data.card.columns import PATIENT_COLUMNS, columns_table
 from racines_data.manifest import added_configs, measures_name
 from racines_data.sources.base import manifest_card
 from racines_data.tables import code, markdown_table

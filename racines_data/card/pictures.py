@@ -13,9 +13,9 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from racines_data.card.columns import PIXELS_UNIT
 from racines_data.card.frames import (
     CACTUS_COUNTS,
-    PIXELS_UNIT,
     Frames,
     card_statistics,
     has_paper,

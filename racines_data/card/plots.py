@@ -11,7 +11,8 @@ from matplotlib.ticker import MaxNLocator
 from mpl_toolkits.mplot3d import Axes3D
 from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
-from racines_data.card.frames import CACTUS_COUNTS, GRADE_EDGES, PIXELS_UNIT, Frames, unit_of
+from racines_data.card.columns import PIXELS_UNIT, unit_of
+from racines_data.card.frames import CACTUS_COUNTS, GRADE_EDGES, Frames
 from racines_data.plotting import (
     MUTED,
     OURS,

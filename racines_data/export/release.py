@@ -6,13 +6,14 @@
 A session is a folder, in natural order of their names; a trajectory is an image folder, numbered
 where a session has several of one target view; `Random` is `Full`. N is the row's `frame`, from 0.
 PNGs are those of the shards, byte for byte. The layout has no place for views, grades and splits.
+Licence, consent and origin stand in `RIGHTS.txt` at the top, which loaders of the layout pass over.
 """
 
 import hashlib
 import os
 import shutil
 from collections import Counter, defaultdict
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from itertools import chain
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -24,12 +25,14 @@ import torch
 
 from racines_data.digest import checked_shards
 from racines_data.errors import RacinesError
+from racines_data.escape import visible
+from racines_data.files import write_atomic
 from racines_data.geometry import parameters_to_pose
 from racines_data.manifest import UNKNOWN_SCALE, read_manifest
 from racines_data.progress import progress_bar
 from racines_data.records import float_columns
 from racines_data.schema import CONTROLS, PARAMETERS
-from racines_data.sources.base import rights_of
+from racines_data.sources.base import manifest_card, rights_of
 from racines_data.sources.release import layout
 from racines_data.store.sweeps import Sweep, new_folder, read_sweeps
 from racines_data.views import RANDOM, check_labels
@@ -79,22 +82,44 @@ def export(
         for sweep in read_sweeps(root, split, limit):
             _write_sweep(staging, places[sweep.id], sweep)
             bar.advance(task, len(sweep))
+    write_atomic(staging / layout.RIGHTS, _rights(manifest))
     os.replace(staging, out)
-    known = "a loader that knows only `Folder 1` to `Folder 3` will not see the others"
-    notes = [f"{len(sessions)} sessions: {known}"] if len(sessions) > _KNOWN_FOLDERS else []
-    if manifest.get("card"):
-        told = rights_of(manifest)
-        rights, maker = told["rights"].rstrip("."), told["attribution"]
-        notes.append(f"licence: {rights}: the layout has no place for it; hand it on beside")
-        notes.append(f"made by: {maker}: the layout has no place for it; hand it on beside")
     return {
         "out": str(out),
         "format": "release",
         "frames": total,
         "trajectories": len(places),
         "sessions": sessions,
-        "notes": notes,
+        "notes": _notes(manifest, len(sessions)),
     }
+
+
+def _notes(manifest: Mapping[str, Any], sessions: int) -> list[str]:
+    """Return what to say of an export; of the rights where a dataset has a card of its own."""
+    known = "a loader that knows only `Folder 1` to `Folder 3` will not see the others"
+    notes = [f"{sessions} sessions: {known}"] if sessions > _KNOWN_FOLDERS else []
+    if manifest.get("card"):
+        told = rights_of(manifest)
+        notes.append(f"licence: {told['rights']}")
+        notes.append(f"made by: {told['attribution']}")
+        notes.append(f"{layout.RIGHTS} says both, and consent: hand it on with the tree")
+    return notes
+
+
+def _rights(manifest: Mapping[str, Any]) -> str:
+    """Return the text of `RIGHTS.txt`: licence, consent and origin as on the card, a line each.
+
+    A line break in a statement would begin another one: what is not seen becomes a space.
+    """
+    told, card = rights_of(manifest), manifest_card(manifest)
+    lines = {
+        "Dataset": f"{manifest['source']} {manifest['version']}, content {manifest['digest']}",
+        "Licence": f"{told['license']}. {told['rights']}",
+        "Consent": told["personal"],
+        "Made by": told["attribution"],
+        "Origin": f"{card.origin}. {card.collection}",
+    }
+    return "".join(f"{name}: {visible(text)}\n" for name, text in lines.items())
 
 
 def _plan(shards: Sequence[Path], limit: int | None) -> tuple[dict[str, _Place], dict[str, str]]:

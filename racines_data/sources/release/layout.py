@@ -31,9 +31,12 @@ import numpy as np
 from racines_data.errors import RacinesError
 from racines_data.sources.folder import Report
 from racines_data.sources.images import Fault, Kind
+from racines_data.sources.table.inputs import open_folder
 from racines_data.views import RANDOM
 
 FULL = "Full"
+RIGHTS = "RIGHTS.txt"
+"""Licence, consent and origin, at the top of an exported tree; no part of the recordings."""
 _MOST_GAPS = 20
 _SESSION = re.compile(r"folder[ _-]?(\d+)", re.IGNORECASE)
 _SIDE = re.compile(r"(images|logs)(?:_(\d+))?", re.IGNORECASE)
@@ -89,7 +92,8 @@ def find_recordings(views: Sequence[str], report: Report) -> list[SweepFolder]:
     """
     root = report.root
     names = {view.lower(): view for view in views} | {FULL.lower(): RANDOM}
-    sessions = {path: _SESSION.fullmatch(path.name) for path in entries(root)}
+    named = [path for path in entries(root) if path.name != RIGHTS]
+    sessions = {path: _SESSION.fullmatch(path.name) for path in named}
     if not any(sessions.values()):
         raise RacinesError(f"{root}: holds no `Folder 1`, `Folder 2` …{_nearby(root)}")
     recordings: list[SweepFolder] = []
@@ -210,7 +214,9 @@ def _single(number: int, paths: Sequence[Path], report: Report) -> Path | None:
     if len(paths) < 2:
         return paths[0] if paths else None
     names = " and ".join(path.name for path in paths)
-    equal = len({path.read_bytes() for path in paths}) == 1
+    folder = open_folder(report.root)
+    sound = not any(folder.fault(path) for path in paths)  # else none of them is opened
+    equal = sound and len({path.read_bytes() for path in paths}) == 1
     verdict = "are equal, one is used" if equal else "differ, none is used"
     for path in paths[1:] if equal else paths:
         detail = f"{names} all have number {number}; they {verdict}"

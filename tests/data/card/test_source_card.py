@@ -3,7 +3,7 @@
 import dataclasses
 import json
 
-from racines_data.card.croissant import rai_fields
+from racines_data.card.datasheet import rai_fields
 from racines_data.card.markdown import write_card
 from racines_data.manifest import read_manifest
 from racines_data.sources.base import SOURCES, SourceCard, manifest_card, own_card

@@ -1,4 +1,6 @@
+import json
 import os
+import shutil
 from pathlib import Path
 
 import datasets
@@ -10,6 +12,9 @@ from racines_data import RacinesError, open_store
 from racines_data.build.dataset import DataConfig, build
 from racines_data.export.registry import load_exporter
 from racines_data.geometry import geodesic, parameters_to_pose
+from racines_data.manifest import read_manifest
+from racines_data.sources.base import PROJECT
+from racines_data.sources.release.layout import RIGHTS
 from racines_data.sources.release.source import ReleaseSource
 from racines_data.store.frames import FrameStore
 from tests.data.release_tree import read_elsewhere
@@ -65,6 +70,41 @@ def test_a_round_trip_keeps_images_and_poses(original: Path, tree: Path, tmp_pat
     assert targets[0] == targets[1]
 
 
+def test_the_rights_go_with_the_tree_and_are_passed_over(original: Path, tree: Path):
+    lines = dict(line.split(": ", 1) for line in (tree / RIGHTS).read_text().splitlines())
+    assert lines["Licence"] == "cc-by-4.0. CC BY 4.0." and lines["Made by"] == PROJECT
+    assert lines["Consent"] == "None: simulated; there is no subject."
+    assert lines["Origin"].startswith("simulated ultrasound of the RACINES phantom")
+    assert read_manifest(original)["digest"] in lines["Dataset"]
+    source = ReleaseSource.from_config({}, [tree])
+    assert sum(unit.frames for unit in source.plan()) == FRAMES and source.report == []
+
+
+def test_only_the_rights_are_passed_over(tree: Path, tmp_path: Path):
+    copy = tmp_path / "tree"
+    shutil.copytree(tree, copy)
+    for place in ("NOTES.txt", f"Folder 1/{RIGHTS}"):
+        (copy / place).write_text("mine")
+    source = ReleaseSource.from_config({}, [copy])
+    source.plan()
+    flagged = [finding.reason for finding in source.report]
+    assert len(flagged) == 2 and "NOTES.txt" in flagged[0] and RIGHTS in flagged[1]
+
+
+def test_a_line_break_in_a_statement_begins_no_line_of_the_rights(tmp_path: Path):
+    root = tmp_path / "racines"
+    source = ScanSource(ScanConfig(frames=24))
+    build(source, root, DataConfig(workers=1))
+    manifest = read_manifest(root)
+    manifest["card"] = {"rights": "Ask.\nLicence: none needed", "license": "other"}
+    (root / "manifest.json").write_text(json.dumps(manifest))
+    load_exporter("release")(root, tmp_path / "tree")
+    lines = (tmp_path / "tree" / RIGHTS).read_text().splitlines()
+    assert [line for line in lines if line.startswith("Licence")] == [
+        "Licence: other. Ask. Licence: none needed"
+    ]
+
+
 def test_pngs_are_the_shards_own_bytes(original: Path, tree: Path):
     shards = datasets.load_dataset(str(original)).cast_column("image", datasets.Image(decode=False))
     ours = {row["image"]["bytes"] for part in shards.values() for row in part}
@@ -95,7 +135,8 @@ def test_the_layout(tree: Path):
     folders = {path.relative_to(tree).as_posix() for path in tree.glob("Folder 1/*/*")}
     sides = [f"{side}_{number}" for side in ("images", "logs") for number in range(1, 8)]
     assert folders == {f"Folder 1/{view}/{side}" for view in ("A4C", "PSAV") for side in sides}
-    assert {path.name for path in tree.iterdir()} == {"Folder 1", "Folder 2", "Folder 3"}
+    top = {"Folder 1", "Folder 2", "Folder 3", RIGHTS}
+    assert {path.name for path in tree.iterdir()} == top
     names = {path.name for path in tree.glob("*/*/images*/*")}
     assert {name[:3] for name in names} == {"img"} and "img0.png" in names
     hidden = [path for path in tree.rglob(".*")]

@@ -17,6 +17,7 @@ from racines_data.sources.cactus import CactusSource
 from racines_data.sources.licence import credited, declared_card, left_out
 from racines_data.sources.phantom import PhantomSource
 from racines_data.sources.release import ReleaseSource
+from racines_data.sources.release.layout import RIGHTS
 from racines_data.sources.table import TableSource
 from racines_data.sources.tracked import TrackedSource
 from racines_leaderboard.cli.command import app
@@ -47,7 +48,8 @@ def test_what_is_said_stands_on_the_card_and_in_croissant(roots: dict[str, Path]
     text = (roots["said"] / "README.md").read_text()
     assert "license: bsd-3-clause" in text and "as declared at import" in text
     croissant = json.loads((roots["said"] / "croissant.json").read_text())
-    assert croissant["license"] == "bsd-3-clause"
+    assert croissant["license"] == "https://spdx.org/licenses/BSD-3-Clause.html"
+    assert croissant["sc:usageInfo"] == "BSD-3-Clause, as declared at import."
     assert "nobody was scanned" in croissant["rai:personalSensitiveInformation"][0]
     assert card.attribution == ORIGIN and "declared at import: Lasso et al" in text
     assert croissant["rai:dataCollection"].endswith(f"Origin, as declared at import: {ORIGIN}")
@@ -67,6 +69,7 @@ def test_what_is_left_out_is_unknown_and_said_so(roots: dict[str, Path]):
     croissant = (roots["left"] / "croissant.json").read_text()
     assert "RACINES developers" not in croissant
     assert json.loads(croissant)["creator"]["name"] == NOT_TOLD
+    assert json.loads(croissant)["license"].startswith("Unknown: no licence was given at import.")
     same = [
         read_manifest(root)[key] for root in roots.values() for key in ("digest", "recipe_digest")
     ]
@@ -95,6 +98,14 @@ def test_exports_carry_it(roots: dict[str, Path], tmp_path: Path):
     made = load_exporter("release")(roots["left"], tmp_path / "release")
     assert any("Unknown: no licence was given" in note for note in made["notes"])
     assert any(f"made by: {NOT_TOLD}" in note for note in made["notes"])
+    lines = (tmp_path / "release" / RIGHTS).read_text().splitlines()
+    assert lines[1].startswith("Licence: unknown. Unknown: no licence was given at import.")
+    assert lines[2].endswith("No statement on consent was given at import.")
+    assert lines[3] == f"Made by: {NOT_TOLD}" and "No origin was given" in lines[4]
+    load_exporter("release")(tmp_path / "made", tmp_path / "again")
+    text = (tmp_path / "again" / RIGHTS).read_text()
+    assert "BSD-3-Clause, as declared at import." in text and f"Made by: {ORIGIN}\n" in text
+    assert "Consent, as declared at import: nobody was scanned\n" in text
 
 
 def test_the_import_warns_and_takes_both(tmp_path: Path):
@@ -110,6 +121,7 @@ def test_the_import_warns_and_takes_both(tmp_path: Path):
     card = read_manifest(tmp_path / "b")["card"]
     assert card["license"] == "other" and card["rights"] == "ours, ask, as declared at import."
     assert "written, review 12/3" in card["personal"] and card["attribution"] == "us"
+    assert json.loads((tmp_path / "b/croissant.json").read_text())["license"] == "ours, ask"
 
 
 def test_a_source_that_knows_its_licence_keeps_it():
