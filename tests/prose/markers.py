@@ -46,6 +46,10 @@ PLACES = {
     "patients": RECORDS.format(board="patients", track="patient-agents", name="{name}"),
     "adapting": RECORDS.format(board="patients", track="patient-generators", name="{name}"),
     "motion": RECORDS.format(board="trackerless", track="motion", name="{name}"),
+    "tracked-motion": RECORDS.format(
+        board="trackerless-tracked", track="tracked-motion", name="{name}"
+    ),
+    "turn-motion": RECORDS.format(board="trackerless-rotation", track="turn-motion", name="{name}"),
     "beating": RECORDS.format(board="beating", track="patient-agents", name="{name}"),
     "weights": "models/weights/{name}/config.json",
     "policies": "envs/weights/{name}/metrics.json",

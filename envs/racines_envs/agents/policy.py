@@ -12,6 +12,7 @@ from racines_data.errors import RacinesError
 from racines_data.files import write_json
 from racines_data.randomness import uniform
 from racines_envs.agents.networks import ObservationNetwork, PoseEncoder, open_encoder
+from racines_envs.robots.arm import FREE
 from racines_envs.task.actions import ACTIONS
 from racines_envs.task.core import ScanCore
 from racines_envs.task.names import HEART_TIER, tier_of
@@ -26,7 +27,15 @@ _DRAWS = 23
 def told_settings(config: Any) -> dict[str, Any]:
     """Return a training's settings as they are written down; one heart has no patients to tell."""
     later = ("patients",) if tier_of(config.view) == HEART_TIER else ()
-    return {name: value for name, value in asdict(config).items() if name not in later}
+    return {name: value for name, value in arms_told(config).items() if name not in later}
+
+
+def arms_told(config: Any) -> dict[str, Any]:
+    """Return settings with their `robot` if it is an arm.
+
+    A free probe is not told: settings without one are those from before there were arms.
+    """
+    return {k: v for k, v in asdict(config).items() if (k, v) != ("robot", FREE)}
 
 
 def make_network(

@@ -93,6 +93,8 @@ class Starts:
 
 def circumstances(core: ScanCore, backend: str) -> dict[str, Any]:
     """Return what decides where the same actions lead, as JSON gives it back."""
+    if core.robot.joints:
+        raise RacinesError(f"a trace is of a free probe, and a {core.robot.name} carries this one")
     told = {"backend": backend, "reward": core.reward.name, "task": core.task.definition}
     return json.loads(json.dumps(told | {"phantom": phantom_recipe(core.phantom)}))
 

@@ -28,6 +28,7 @@ from racines_envs.agents.learned_in import worlds
 from racines_envs.agents.networks import PoseEncoder, open_encoder
 from racines_envs.agents.policy import PolicyAgent, make_actor, told_settings
 from racines_envs.agents.rollout import rollout
+from racines_envs.robots.arm import FREE
 from racines_envs.task.rewards import RewardConfig, get_reward
 from racines_envs.task.starts import validation_seeds
 from racines_envs.worlds.backends import JudgeLike, make_grader, source_weights, usual_grader
@@ -75,6 +76,9 @@ class TrainingConfig:
     """Name or run folder, for the backend `generator`."""
     grader: str = ""
     """Run folder, for the reward `paper`; models/runs/grader if empty."""
+    robot: str = FREE
+    """`free`, or the arm that carries the probe: `ur5e`, another's name, `module:ARM`. What its
+    joints do is not observed."""
     frames: int = 300_000
     """Environment steps in all; rounded up to whole updates."""
     envs: int = 64
@@ -140,6 +144,7 @@ class TrainingRun(ABC):
             "generator": config.generator or None,
             "grader": grader or config.grader or None,
             "data": data,
+            "robot": config.robot,
             "rewards": RewardConfig(discount=config.gamma),
             "phantom": world,
             "device": config.device,

@@ -103,6 +103,7 @@ def evaluate_agent(
         write_evaluation,
     )
     from racines_envs.evaluation.trainings import published_run
+    from racines_envs.robots.arm import FREE
     from racines_models.cli.output import show_metrics
 
     values = read_settings(params, profile)
@@ -119,9 +120,10 @@ def evaluate_agent(
     out = _result_file(out, entry.scores.with_name(f"{label}.json"))
     phantom, board = phantom_config(values), values.get("board")
     published = None if run else published_run(board, entry.name)
+    own_board = board if config.robot == FREE else None  # boards are of free probes
     with spread(engine, address, config.device) as pool:
         result = evaluate(
-            entry.agent, run or entry.trained, config, phantom, run=label, board=board,
+            entry.agent, run or entry.trained, config, phantom, run=label, board=own_board,
             published=published, engine=pool,
         )  # fmt: skip
     write_evaluation(result, out, picture or out.with_suffix(".png"), force)
@@ -145,6 +147,7 @@ def _on_recordings(
     from racines_data.config import fill, section
     from racines_envs.evaluation.agent_specs import find_entry, plain_name
     from racines_envs.evaluation.run import EvaluationConfig, evaluate, write_evaluation
+    from racines_envs.robots.arm import FREE
     from racines_models.cli.output import show_metrics
 
     values = read_settings(params, profile)
@@ -157,7 +160,8 @@ def _on_recordings(
     stated = section(values, "evaluation").of("starts", "seeds", "resamples", "latency", "pictured")
     own = {"view": world.aim.view, "backend": "replay"}
     config = fill(EvaluationConfig, stated | rest | own, "evaluation")
-    label = entry.name if name else plain_name(f"{entry.name}-{world.settings.split}")
+    carried = f"-{config.robot}" if config.robot != FREE else ""
+    label = entry.name if name else plain_name(f"{entry.name}-{world.settings.split}{carried}")
     out = _result_file(out, entry.scores.with_name(f"{label}.json"))
     with opened as pool:
         result = evaluate(entry.agent, run or entry.trained, config, world, run=label, engine=pool)
@@ -180,6 +184,7 @@ def _on_patients(
     from racines_envs.evaluation.agent_specs import find_entry, plain_name
     from racines_envs.evaluation.patients import PatientsConfig, evaluate_patients, row_name
     from racines_envs.evaluation.run import write_evaluation
+    from racines_envs.robots.arm import FREE
     from racines_models.cli.output import show_metrics
 
     values = read_settings(params, profile)
@@ -187,10 +192,10 @@ def _on_patients(
     config = fill(PatientsConfig, stated | chosen, "evaluation_patients")
     board, tier = values.get("board"), tier_of(config.view)
     label = plain_name(f"{entry.name}-{config.view}-{config.split}")
-    if config.phantom:
-        from pathlib import PurePath
-
-        board, label = None, f"{label}-{PurePath(config.phantom).name}"
+    apart = [Path(config.phantom).name] if config.phantom else []
+    apart += [plain_name(config.robot)] if config.robot != FREE else []
+    if apart:  # a world of one's own, or an arm: no row of a board
+        board, label = None, "-".join([label, *apart])
     elif tier in values.get("patient_boards", ()):
         board = tier
         # From the board's own starts it is a row; others are told by all that makes them.

@@ -146,12 +146,18 @@ def export_envhub(
     format: Annotated[
         str, typer.Option(help="What policies see and do: lerobot-rgb or lerobot-task.")
     ] = "lerobot-rgb",
+    settings: opt.Set = None,
     as_json: opt.AsJson = False,
 ) -> None:
-    """Write a folder that LeRobot loads tasks from (EnvHub), to evaluate policies in them."""
-    from racines_envs.apis.lerobot.envhub import write_envhub
+    """Write a folder that LeRobot loads tasks from (EnvHub), to evaluate policies in them.
 
-    made = write_envhub(out, tasks, format)
+    --set robot=ur5e lets an arm carry the probe, as in exports of sweeps that were drawn for one.
+    """
+    from racines_data.config import fill
+    from racines_envs.apis.lerobot.envhub import HubConfig, write_envhub
+
+    config = fill(HubConfig, overrides(settings), "envhub")
+    made = write_envhub(out, tasks, format, config.robot)
     if as_json:
         say_json(made)
     else:

@@ -1,6 +1,6 @@
 """The command `racines train agent`. Heavy imports stand inside, so that --help is instant."""
 
-from dataclasses import asdict, dataclass, field, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -144,6 +144,7 @@ class _Asked:
         """Return the training of an agent by the settings of all sections and these."""
         from racines_data.config import fill
         from racines_envs.agents import agent_class
+        from racines_envs.agents.policy import arms_told
         from racines_envs.evaluation.agent_specs import find_entry
         from racines_models.protocol import Run
         from racines_models.training.sets import Training
@@ -164,7 +165,7 @@ class _Asked:
             wanted = {"view": view} if "view" in known else {}
             own = own if "backend" in known else {k: v for k, v in own.items() if k != "backend"}
         config: Any = fill(cls.Config, entry.settings | given(**wanted) | own | more, entry.where)
-        what = {"agent": entry.agent, "config": asdict(config), "env": self.env}
+        what = {"agent": entry.agent, "config": arms_told(config), "env": self.env}
         what |= {"data": self.data}
         where = {"phantom": phantom, "data": self.data}
         return Training(_Fit(cls, config, where), Run(entry.folder), entry.repeats, what)

@@ -223,8 +223,8 @@ def plain_name(text: str) -> str:
 def result_name(run: str, config: Any, usual: Any) -> str:
     """Return what a run's result is called: as the run, and by what differs from the usual.
 
-    Results of one agent on another view, backend or start set have names of their own. Both are an
-    `EvaluationConfig`.
+    Results of one agent on another view, backend or start set, or with another arm, have names of
+    their own. Both are an `EvaluationConfig`.
     """
     parts = [run]
     if config.view != usual.view:
@@ -235,4 +235,6 @@ def result_name(run: str, config: Any, usual: Any) -> str:
         parts.append("seed-" + "-".join(map(str, config.sets)))
     if config.starts != usual.starts:
         parts.append(f"{config.starts}-starts")
+    if config.robot != usual.robot:
+        parts.append(config.robot)
     return plain_name("-".join(parts))

@@ -50,6 +50,7 @@ METRICS = {
     "peak_force": _FORCE,
     "mean_force": _FORCE,
     "violations": Measured("mean", "refused steps an episode", 0.0),
+    "arm_hits": Measured("mean", "steps an episode that the arm could not follow", 0.0),
     "position_error": _MM,
     "rotation_error": _DEGREES,
     "return_without_success": _RATE,
@@ -102,9 +103,7 @@ def episode_values(trainings: Sequence[Episodes], reference_steps: np.ndarray) -
         "return_without_success": (final["return"] >= RETURN_OF_A_HIT) & ~success,
     }
     values |= {name: final[name] * factor for name, factor in _OPTIONAL if name in final}
-    if "out_of_support" in final:
-        values["out_of_support"] = final["out_of_support"]
-    return values
+    return values | {name: final[name] for name in ("out_of_support", "arm_hits") if name in final}
 
 
 def measure(
@@ -171,6 +170,7 @@ def patient_values(trainings: Sequence[Mapping[str, np.ndarray]]) -> Values:
         "mean_force": final["mean_force"],
         "violations": final["workspace_hits"] + final["force_hits"],
     }
+    values |= {name: final[name] for name in ("arm_hits",) if name in final}
     return {name: each.astype(np.float64) for name, each in values.items()}
 
 

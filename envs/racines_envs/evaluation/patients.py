@@ -40,15 +40,10 @@ from racines_envs.evaluation.measures import (
     patient_values,
     values_of,
 )
-from racines_envs.evaluation.run import (
-    SCHEMA,
-    Scored,
-    core_for,
-    extractors_of,
-    shown_to,
-    told_of_agent,
-)
+from racines_envs.evaluation.run import SCHEMA, Scored, core_for
+from racines_envs.evaluation.told import carried_by, extractors_of, shown_to, told_of_agent
 from racines_envs.evaluation.trainings import Training, find_trainings, given_trainings
+from racines_envs.robots.arm import FREE
 from racines_envs.task.core import ScanCore
 from racines_envs.task.names import HEART_TIER
 from racines_envs.task.starts import patient_seeds
@@ -81,6 +76,8 @@ class PatientsConfig:
     device: str = "cpu"
     phantom: str = ""
     """Folder or name of a heart of one's own that all of them have; none if empty."""
+    robot: str = FREE
+    """`free`, or the arm that carries the probe: `ur5e`, another's name, `module:ARM`."""
 
     @property
     def task(self) -> Task:
@@ -166,7 +163,7 @@ def evaluate_patients(
     task = {
         "view": config.view, "backend": "phantom", "split": config.split,
         "observation": shown_to(agent), "reward": config.reward, "start_set": starts.told(config),
-        "definition": config.task.definition,
+        "definition": config.task.definition, **carried_by(config.robot),
     }  # fmt: skip
     scores = {"schema": SCHEMA, **told_of_agent(agent, trainings, config.device)}
     scores |= {"task": task, "phantom": world_of(config), "metrics": metrics}
@@ -213,6 +210,12 @@ def start_set(config: PatientsConfig) -> StartSet:
     patients = choose_patients(config.split, config.patients)
     check_memory(min(config.chunk, len(patients)))
     return StartSet(patients, config.starts, config.seed)
+
+
+def refuse_arm(config: PatientsConfig, study: str) -> None:
+    """Refuse settings with an arm in a study of free probes, whose figures would not say so."""
+    if config.robot != FREE:
+        raise RacinesError(f"{study}.robot {config.robot}: the study is of a free probe: leave out")
 
 
 def act_on_patients(
@@ -267,8 +270,9 @@ def _on_chunk(state: _Acting, chunk: StartSet) -> Iterator[tuple[ScanCore, Episo
     seeds, case = chunk.seeds, ward.case_of(chunk.units.tolist())
     for agent in agents:
         core = core_for(
-            agent, config.task, len(seeds), reward=config.reward, phantom=ward, device=config.device
-        )
+            agent, config.task, len(seeds), reward=config.reward, phantom=ward,
+            device=config.device, robot=config.robot,
+        )  # fmt: skip
         core = core if around is None else around(core)
         episodes = rollout(core, agent, seeds.to(core.device), case)
         if isinstance(agent, TraceAgent):

@@ -13,10 +13,9 @@ from torch import Tensor
 from racines_data.engines import Engine
 from racines_data.errors import RacinesError
 from racines_data.world import World
-from racines_envs.agents import learns, load_agent, sees
-from racines_envs.agents.onnx.policy import OnnxPolicyAgent
+from racines_envs.agents import learns, load_agent
 from racines_envs.agents.planner import PlannerAgent
-from racines_envs.agents.protocol import FILES, Agent, Untrained, acts
+from racines_envs.agents.protocol import FILES, Agent, acts
 from racines_envs.agents.rollout import Episodes, join_episodes, rollout
 from racines_envs.agents.trace import (
     TraceAgent,
@@ -27,7 +26,9 @@ from racines_envs.agents.trace import (
 )
 from racines_envs.evaluation.agent_specs import check_view
 from racines_envs.evaluation.measures import episode_values, latency, measure, measure_by_seed
+from racines_envs.evaluation.told import carried_by, extractors_of, shown_to, told_of_agent
 from racines_envs.evaluation.trainings import Training, find_trainings, given_trainings
+from racines_envs.robots.arm import FREE
 from racines_envs.task.core import ScanCore
 from racines_envs.task.rewards import get_reward
 from racines_envs.task.starts import evaluation_seeds
@@ -37,12 +38,7 @@ from racines_envs.worlds.making import WorldLike, find_task, make_core, make_pha
 from racines_envs.worlds.recorded.world import Recordings
 from racines_models.devices import on_device
 from racines_models.protocol import Judge
-from racines_models.provenance import (
-    code_version,
-    environment,
-)
 from racines_models.statistics import Evidence, write_scores
-from racines_models.training.checkpoint import PREFIX
 
 SCHEMA = "racines.agent-scores/1"
 
@@ -94,6 +90,8 @@ class EvaluationConfig(StudyConfig):
     """Decisions that are timed one at a time, at least 50; 0 for none (times never repeat)."""
     pictured: int = 4
     """Episodes in the picture of trajectories."""
+    robot: str = FREE
+    """`free`, or the arm that carries the probe: `ur5e`, another's name, `module:ARM`."""
 
     @property
     def sets(self) -> tuple[int, ...]:
@@ -231,7 +229,7 @@ def _alike(core: ScanCore, agent: Agent, config: EvaluationConfig, rows: int) ->
     """Return another environment of the same; what draws its images is not loaded again."""
     return core_for(
         agent, config.view, rows, backend=core.images, reward=core.reward, phantom=core.phantom,
-        grader=core.grader, device=config.device,
+        grader=core.grader, device=config.device, robot=config.robot,
     )  # fmt: skip
 
 
@@ -253,7 +251,7 @@ def prepare(
         agent, config.view, len(seeds), backend=config.backend,
         generator=config.generator or None, data=config.data or None, reward=config.reward,
         grader=grader if get_reward(config.reward).needs_judge else None, phantom=world,
-        device=config.device,
+        device=config.device, robot=config.robot,
     )  # fmt: skip
     return Prepared(agent, core, seeds, grader)
 
@@ -295,7 +293,7 @@ def core_for(agent: Agent, view: str | Task, rows: int, **settings: Any) -> Scan
 
 
 def reference_steps(view: str, seeds: Tensor, phantom: World, device: str) -> np.ndarray:
-    """Return the planner's (n,) steps from the same starts, the l of SPL."""
+    """Return the planner's (n,) steps from the same starts with a free probe, the l of SPL."""
     core = make_core(
         view, len(seeds), observation="params", reward="oracle", phantom=phantom, device=device
     )
@@ -312,18 +310,6 @@ def units_of(core: ScanCore, episodes: Episodes) -> tuple[np.ndarray | None, str
     return core.phantom.start_units(episodes.seeds).numpy(), core.phantom.unit
 
 
-def extractors_of(agent: Agent, grader: Judge | None = None) -> dict[str, dict[str, Any]]:
-    """Return the settings, with hashes, of what judged the last images and of the agent's guide."""
-    graders = {"grader": grader, "guide": getattr(agent, "guide", None)}
-    told = {kind: each.settings for kind, each in graders.items() if each is not None}
-    return {kind: settings for kind, settings in told.items() if settings is not None}
-
-
-def shown_to(agent: Agent) -> str:
-    """Return what an agent looks at, or what the one whose actions it repeats looked at."""
-    return getattr(agent, "seen", agent.observation)
-
-
 def _document(
     trainings: Sequence[Training], config: EvaluationConfig, core: ScanCore, agent: Agent,
     figures: dict[str, Any],
@@ -338,45 +324,12 @@ def _document(
             "reward": config.reward,
             "start_set": config.start_set,
             "definition": core.task.definition,
+            **carried_by(config.robot),
         },
         "phantom": phantom_recipe(core.phantom),
         **figures,
         "seeds": list(config.sets),
     }
-
-
-def told_of_agent(
-    agent: Agent, trainings: Sequence[Training], device: torch.device | str
-) -> dict[str, Any]:
-    """Return what scores say of an agent and of where it acted, whatever its task."""
-    several = [{"seed": each.seed, "published": each.published} for each in trainings]
-    return {
-        "agent": agent.name,
-        "submission": agent.name,
-        "sees": sees(agent),
-        "runs": len(trainings),
-        "trained": learns(agent),
-        **({"trainings": several} if len(several) > 1 else {}),
-        "weights": _weights(agent, trainings),
-        "code": code_version(),
-        "environment": environment(str(device)),
-    }
-
-
-def _weights(agent: Agent, trainings: Sequence[Training]) -> dict[str, Any] | None:
-    """Return the hashes of all trainings' files, and that of the first one's policy."""
-    files = {} if isinstance(agent, Untrained) else trainings[0].files
-    if isinstance(agent, (OnnxPolicyAgent, TraceAgent)):
-        files = {agent.path.name: agent.sha256}
-    if not files:
-        return None
-    only = next(iter(files.values())) if len(files) == 1 else None
-    further = {
-        f"{PREFIX}{each.seed}/{name}": sha256
-        for each in trainings[1:]
-        for name, sha256 in each.files.items()
-    }
-    return {"sha256": files.get("policy.safetensors", only), "files": files | further}
 
 
 def write_evaluation(

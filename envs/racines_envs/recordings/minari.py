@@ -22,7 +22,9 @@ target; the last step is a truncation, unless it is a termination.
 
 `env_spec` is the task at which most sweeps aim, in the phantom that was scanned, with images and
 parameters as observations and the same reward: `recover_environment()` makes it, and with
-`view=…` that of another target. Its actions are the task's 13 unit steps, not a velocity.
+`view=…` that of another target. Its actions are the task's 13 unit steps, not a velocity; with
+`action="velocity"` they are twists in the probe's frame (`twist_of` of the LeRobot formats makes
+them of velocities in the base frame), which the tasks limit and recorded hands exceed.
 
 Images have a leading channel axis because Minari stores (H, W) images as JPEG unless told not to,
 and older versions cannot be told; pixels stay as they are.

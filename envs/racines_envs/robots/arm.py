@@ -11,7 +11,9 @@ from racines_data.errors import RacinesError
 from racines_data.phantom.pacing import FREE as FREE
 from racines_data.plugins import Plugins
 
-ROBOTS = Plugins("robot", "racines.robots", ("name", "links", "limits", "speeds", "home", "tool"))
+ROBOTS = Plugins(
+    "robot", "racines.robots", ("name", "links", "limits", "speeds", "home", "tool"), "module:ARM"
+)
 BASE, TIP = "base", "tip"
 """Names of the first and the last link."""
 

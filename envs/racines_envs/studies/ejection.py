@@ -41,10 +41,12 @@ from racines_envs.evaluation.patients import (
     PatientsConfig,
     StartSet,
     open_agents,
+    refuse_arm,
     start_set,
     world_of,
 )
-from racines_envs.evaluation.run import core_for, told_of_agent
+from racines_envs.evaluation.run import core_for
+from racines_envs.evaluation.told import told_of_agent
 from racines_envs.studies.kept import read_kept
 from racines_envs.task.core import ScanCore
 from racines_envs.task.names import BEATING
@@ -125,6 +127,7 @@ def study_ejection(
             `force`, a file `keep` of another study.
     """
     config, began = on_device(config), time.perf_counter()
+    refuse_arm(config, "ejection")
     if config.task.tier != BEATING or config.task.view != "A4C":
         raise RacinesError(
             f"ejection.view {config.view}: an ejection fraction is measured in A4C of beating "
@@ -161,7 +164,8 @@ def study_ejection(
 
 def _identity(report: dict[str, Any], config: EjectionConfig) -> str:
     """Return a digest of all that decides the figures, and of how patients are cut to chunks."""
-    settings = {key: value for key, value in asdict(config).items() if key != "device"}
+    aside = ("device", "robot")
+    settings = {key: value for key, value in asdict(config).items() if key not in aside}
     names = ("schema", "agent", "weights", "task", "phantom", "segmentation", "code")
     parts = {name: report[name] for name in names} | {"settings": settings, "frames": FRAMES}
     return recipe_digest(json.loads(json.dumps(parts)))

@@ -127,7 +127,7 @@ def make_core(
     alone = isinstance(phantom, Recordings)
     reward = reward or ("paper" if task.tier == HEART_TIER and not alone else "shaped")
     if isinstance(phantom, Recordings):
-        backend, forces = _check_alone(phantom, backend, forces, action)
+        backend, forces = _check_alone(phantom, backend, forces, action, robot)
     phantom = _world_of(task, phantom, backend, device, split, patients)
     if termination is not None:
         task = dataclasses.replace(task, termination=termination)
@@ -155,13 +155,19 @@ def make_core(
 
 
 def _check_alone(
-    world: Recordings, backend: str | ImageSource, forces: ForceSource | str, action: str
+    world: Recordings,
+    backend: str | ImageSource,
+    forces: ForceSource | str,
+    action: str,
+    robot: str | Arm,
 ) -> tuple[str | ImageSource, ForceSource | str]:
     """Return backend and forces as recordings that stand alone have them: by their own frames."""
     if forces == "fitted":
         raise RacinesError("forces='fitted' are for phantoms: a replay has recorded ones")
     if world.masks and action != DISCRETE:
         raise RacinesError("replay.beyond='mask' is of the thirteen steps: use action='discrete'")
+    if world.masks and robot != FREE:
+        raise RacinesError("replay.beyond='mask' knows no arm's joints: use beyond='refuse'")
     own = "phantom" if backend == "replay" else backend
     return own, "auto" if forces == "recorded" else forces
 

@@ -20,8 +20,9 @@ from racines_envs.evaluation.run import EvaluationConfig
 from racines_envs.task.names import PATIENTS
 from racines_envs.worlds.backends import GRADERS
 from racines_leaderboard.board.collect import Record, basis_of, read_record
+from racines_leaderboard.records.motions import MOVING, SIMULATED
 from racines_leaderboard.records.schema import read_json
-from racines_leaderboard.records.tracks import HELD_OUT, MOTION, TRACK
+from racines_leaderboard.records.tracks import HELD_OUT, TRACK
 from racines_leaderboard.submissions.confined.session import Limits
 from racines_models.published.places import published
 from racines_models.sample import Sample, take_sample
@@ -166,14 +167,16 @@ class Bench:
         return None
 
     def recipe_for(self, record: Record) -> tuple[str | None, str]:
-        """Return the recipe digest that a generator's record has to rest on, and who says so.
+        """Return the recipe digest that a record has to rest on, and who says so.
 
         That of recordings is known once they are read, and no settings name it: of these it is the
         one that the record's track is pinned to.
         """
+        data = record["scores"]["dataset"]
         named = section(self.settings or {}, "data").get("source")
-        if PHANTOM in (named, record["scores"]["dataset"]["source"]):
-            return self.recipe, "the recipe that the board's settings build"
+        if {named, data["source"]} & {*SIMULATED}:
+            recipe = self.recipe_with(data.get("config", RECORDED))
+            return recipe, "the recipe that the board's settings build"
         pinned = self.pins.get(record["track"], {}).get("recipe_digest")
         return pinned, "the recipe that the board is pinned to"
 
@@ -208,8 +211,7 @@ class Bench:
             told = json.loads((folder / MANIFEST).read_text(encoding="utf-8"))
         except (OSError, ValueError):
             return False
-        pinned = (pin.get("recipe_digest") for pin in self.pins.values() if isinstance(pin, dict))
-        return told.get("recipe_digest") in {self.recipe, *pinned} - {None}
+        return told.get("recipe_digest") in {self.recipe, *self.recipes} - {None}
 
     @functools.cached_property
     def store(self) -> FrameStore | None:
@@ -226,6 +228,12 @@ class Bench:
         path = self.places.results / self.board / PINS
         return read_json(path, "any") if path.is_file() else {}
 
+    @property
+    def recipes(self) -> set[str]:
+        """The recipe digests that the board's tracks are pinned to."""
+        parts = (part for part in self.pins.values() if isinstance(part, dict))
+        return {part["recipe_digest"] for part in parts if "recipe_digest" in part}
+
     def pinned(self, track: str, kind: str) -> str | None:
         """Return the sha256 of the judge of a kind that the board is pinned to, if it is."""
         return self.pins.get(track, {}).get("judges", {}).get(kind)
@@ -237,13 +245,16 @@ class Bench:
 
     def sweeps_for(self, record: Record) -> SweepSet | None:
         """Return the sweeps here if they are of the recipe that estimated motion rests on."""
-        data = record["scores"]["dataset"]
-        key = data["config"], data["recipe_digest"]
+        return self.sweeps_of(record["scores"]["dataset"])
+
+    def sweeps_of(self, card: dict[str, Any]) -> SweepSet | None:
+        """Return the sweeps here if they are of the config and the recipe that a card names."""
+        key = str(card.get("config")), str(card.get("recipe_digest"))
         if key not in self._sweeps:
-            self._sweeps[key] = self._sweeps_of(*key)
+            self._sweeps[key] = self._find_sweeps(*key)
         return self._sweeps[key]
 
-    def _sweeps_of(self, config: str, recipe: str) -> SweepSet | None:
+    def _find_sweeps(self, config: str, recipe: str) -> SweepSet | None:
         for folder in self._folders:
             with contextlib.suppress(RacinesError):
                 store = open_store(folder, config)
@@ -255,7 +266,7 @@ class Bench:
         """Say what is not here of what a record's scores are made on; None if nothing."""
         if self.settings is None:
             return self.no_settings
-        if record["track"] == MOTION.name:
+        if record["track"] in MOVING:
             return self.no_data if self.sweeps_for(record) is None else None
         generator = record["track"] in HELD_OUT
         return self.no_data if generator and self.data_for(record) is None else None

@@ -33,8 +33,9 @@ from racines_leaderboard.audit.verdicts import (
 )
 from racines_leaderboard.audit.weights import data_of, submitted
 from racines_leaderboard.board.collect import Record
+from racines_leaderboard.records.motions import MOVING
 from racines_leaderboard.records.schema import KEY, seal_of
-from racines_leaderboard.records.tracks import MOTION, PATIENT_AGENTS, SCOUTS, TRACK
+from racines_leaderboard.records.tracks import PATIENT_AGENTS, SCOUTS, TRACK
 from racines_leaderboard.submissions.document import find_submission
 from racines_models.provenance import environment
 from racines_models.registry import generator_class
@@ -76,7 +77,7 @@ def check_claims(record: Record, bench: Bench) -> Iterator[Verdict]:
     else:
         yield holds("environment", f"as here: {', '.join(MACHINE)}")
     folder = bench.places.agents if TRACK[record["track"]].steers else bench.places.runs
-    kept = "motion-scores" if record["track"] == MOTION.name else "scores"
+    kept = "motion-scores" if record["track"] in MOVING else "scores"
     path = folder / kept / f"{record['name']}.json"
     if record["tier"] == "self-reported" and path.is_file():
         yield from _scores_file(record, path, bench)
@@ -103,7 +104,7 @@ def _names(record: Record) -> Iterator[Verdict]:
     yield equal(f"scores.{subject}", scores[subject], record["name"], "the record's name")
     data, generator = scores.get("dataset") or {}, not TRACK[record["track"]].steers
     # Motion is scored by the recipe of the sweeps, whatever board they are of.
-    generator = generator and record["track"] != MOTION.name
+    generator = generator and record["track"] not in MOVING
     merged = TRACK[record["track"]].steers and not submitted(record)
     merged = merged or record["track"] == PATIENT_AGENTS.name
     for place, part, must in (("board", scores, merged), ("dataset.board", data, generator)):
@@ -126,7 +127,7 @@ def _adapter(record: Record, adapter: str) -> Verdict:
     """Check that the class which a submission names is the one that is scored here."""
     agents = TRACK[record["track"]].steers
     name = record["scores"].get("submission", record["name"])
-    find = estimator_class if record["track"] == MOTION.name else generator_class
+    find = estimator_class if record["track"] in MOVING else generator_class
     try:
         one, other = (agent_class if agents else find)(name), _loaded(adapter)
     except RacinesError as error:

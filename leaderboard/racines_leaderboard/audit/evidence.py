@@ -37,8 +37,9 @@ from racines_leaderboard.audit.verdicts import (
 )
 from racines_leaderboard.audit.weights import first_training, hours_of, named, run_called
 from racines_leaderboard.board.collect import Record
+from racines_leaderboard.records.motions import MOVING
 from racines_leaderboard.records.ranges import CLOSE, ENDS, range_of
-from racines_leaderboard.records.tracks import MOTION, PATIENT_AGENTS, PATIENT_GENERATORS, TRACK
+from racines_leaderboard.records.tracks import PATIENT_AGENTS, PATIENT_GENERATORS, TRACK
 from racines_models.statistics import Evidence, Figures
 from racines_models.training.checkpoint import PREFIX
 
@@ -150,7 +151,7 @@ def _of_items(key: str, figures: Figures, record: Record, bench: Bench) -> Itera
     if record["track"] == PATIENT_GENERATORS.name:
         yield asked_items(subject, figures, bench)
         return
-    if record["track"] == MOTION.name:
+    if record["track"] in MOVING:
         yield moving.items(subject, figures, record, bench)
         return
     if bench.data_for(record) is None:

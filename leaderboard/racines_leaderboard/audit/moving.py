@@ -6,9 +6,10 @@ from typing import Any
 
 from racines_data.config import fill, section
 from racines_data.errors import RacinesError
-from racines_leaderboard.audit.bench import Bench
-from racines_leaderboard.audit.verdicts import Verdict, equal, holds, tell, told, unknown
+from racines_leaderboard.audit.bench import PINS, Bench
+from racines_leaderboard.audit.verdicts import Verdict, equal, fails, holds, tell, told, unknown
 from racines_leaderboard.board.collect import Record
+from racines_leaderboard.records.motions import MOVING
 from racines_models.protocol import Run
 from racines_models.statistics import Figures
 from racines_models.trackerless import protocol
@@ -19,25 +20,26 @@ from racines_models.trackerless.scoring import (
     estimate_all,
     score_motion,
 )
-from racines_models.trackerless.sweeps import Sweep, SweepSet, digest_of
+from racines_models.trackerless.sweeps import EVERY, Sweep, SweepSet, digest_of
 from racines_models.training.sets import train_seeds
+
+NO_SWEEPS = "the data that it learned from are not here: name their folder with --data"
 
 
 def scored_on(record: Record, bench: Bench) -> Iterator[Verdict]:
     """Check the dataset, its sweeps, and the settings that motion was scored by."""
     scores, config = record["scores"], bench.motion_scores
     claimed = scores["dataset"]
-    recipe = bench.recipe_with(claimed["config"])
+    recipe, reason = bench.recipe_for(record)
     if recipe is None:
         reason = f"no settings of board {bench.board} here that name a recipe: give --params"
         yield unknown("dataset.recipe_digest", reason, claimed["recipe_digest"])
     else:
-        reason = "the recipe that the board's settings build"
         yield equal("dataset.recipe_digest", claimed["recipe_digest"], recipe, reason)
     yield equal("dataset.split", claimed["split"], config.split, "motion_scores.split")
     reason = "motion_scores of the board's settings"
     yield equal("settings", scores["settings"], described(config), reason)
-    yield from _learned(scores)
+    yield from _learned(scores, bench)
     sweeps = bench.sweeps_for(record)
     if sweeps is None:
         for key in ("source", "version", "digest", "sweeps"):
@@ -46,9 +48,7 @@ def scored_on(record: Record, bench: Bench) -> Iterator[Verdict]:
     card, reason = sweeps.card, f"the dataset in {sweeps.store.root}"
     for key in ("source", "version"):
         yield equal(f"dataset.{key}", claimed[key], card[key], reason)
-    built = "the same recipe, built elsewhere: a few pixels differ"
-    say, reason = (holds, reason) if claimed["digest"] == card["digest"] else (told, built)
-    yield say("dataset.digest", reason, claimed["digest"], card["digest"])
+    yield _digest("dataset", claimed, sweeps)
     found = asked(sweeps, config)
     reason = "digest of the frames of each sweep"
     yield equal("dataset.sweeps", claimed["sweeps"], digest_of(found), reason)
@@ -56,12 +56,51 @@ def scored_on(record: Record, bench: Bench) -> Iterator[Verdict]:
     yield equal("sweeps", scores["sweeps"], names, "the sweeps of the split, by number")
 
 
-def _learned(scores: dict[str, Any]) -> Iterator[Verdict]:
-    """Check what was learned from against what was scored on: one dataset, one digest."""
+def _learned(scores: dict[str, Any], bench: Bench) -> Iterator[Verdict]:
+    """Check what was learned from: against what was scored on, or against the data here."""
     learned, claimed = scores.get("learned_from") or {}, scores["dataset"]
     if learned.get("recipe_digest") == claimed["recipe_digest"]:
         reason = "the digest of the dataset that it was scored on, whose recipe it names"
         yield equal("learned_from.digest", learned.get("digest"), claimed["digest"], reason)
+        if claimed["split"] == EVERY:
+            yield fails("learned_from", "it was scored on what it learned from", claimed["split"])
+    elif learned and (sweeps := bench.sweeps_of(learned)) is not None:
+        reason = f"the dataset in {sweeps.store.root}"
+        for key in ("source", "version"):
+            yield equal(f"learned_from.{key}", learned.get(key), sweeps.card[key], reason)
+        yield _digest("learned_from", learned, sweeps)
+
+
+def _digest(part: str, claimed: dict[str, Any], sweeps: SweepSet) -> Verdict:
+    """Say of the content digest of data whether it is that of the data here, of one recipe."""
+    same = claimed.get("digest") == sweeps.card["digest"]
+    built = "the same recipe, built elsewhere: a few pixels differ"
+    reason = f"the dataset in {sweeps.store.root}" if same else built
+    say = holds if same else told
+    return say(f"{part}.digest", reason, claimed.get("digest"), sweeps.card["digest"])
+
+
+def learned_on(record: Record, bench: Bench) -> SweepSet | None:
+    """Return the sweeps here if they are of the data that a record's estimator learned from."""
+    scores = record["scores"]
+    return bench.sweeps_of(scores.get("learned_from") or scores["dataset"])
+
+
+def lacks_to_learn(record: Record, bench: Bench) -> str | None:
+    """Say what is not here of what an estimator learned from; None if nothing, or nobody did."""
+    learns = record["track"] in MOVING and record["scores"]["trained"]
+    return NO_SWEEPS if learns and learned_on(record, bench) is None else None
+
+
+def board_learned_on(record: Record, bench: Bench) -> Bench | None:
+    """Return the board here whose data an estimator learned from, if not those it is scored on."""
+    learned, scored = record["scores"].get("learned_from") or {}, record["scores"]["dataset"]
+    recipe = learned.get("recipe_digest")
+    if recipe in (None, scored["recipe_digest"]):
+        return None
+    paths = sorted(bench.places.results.glob(f"*/{PINS}"))
+    others = (Bench(path.parent.name, bench.places) for path in paths)
+    return next((each for each in others if recipe in each.recipes and each.settings), None)
 
 
 def items(subject: str, figures: Figures, record: Record, bench: Bench) -> Verdict:
@@ -104,11 +143,16 @@ def score_run(record: Record, bench: Bench, folder: Path, first: bool = False) -
 
 
 def score_trained(record: Record, bench: Bench, folder: Path) -> MotionScores:
-    """Train an estimator by the board's settings in a folder, if it trains; return its scores."""
-    name, (sweeps, _) = record["name"], _ground(record, bench)
+    """Train an estimator by the board's settings in a folder, if it trains; return its scores.
+
+    It learns from the data that the record names, which need not be those that it is scored on.
+    """
+    name, sweeps = record["name"], learned_on(record, bench)
     cls, settings = protocol.estimator_class(name), bench.settings or {}
     if not cls.trained:
         return score_run(record, bench, folder)
+    if sweeps is None:
+        raise RacinesError(NO_SWEEPS)
     config: Any = fill(cls.Config, section(settings, ("motions", name)), f"motions.{name}")
     repeats = getattr(getattr(config, "training", None), "repeats", 1)
     run = Run(folder, settings.get("seed", 0), "cpu", progress=False)

@@ -6,8 +6,8 @@ within what its tier allows:
 bitwise     the same libraries, processor, threads, data and weights: every bit, but for rounding,
             since names of processors are coarse and each sums in an order of its own; where a
             number differs by that, the report says `rounding`
-tolerance   elsewhere: the metrics that rank within 0.0004, or 0.01 where they are errors in mm of
-            estimated motion; the others within 0.001 of their size, or two items of n
+tolerance   elsewhere: the metrics that rank within 0.0004, or 0.01 where they are errors in mm or
+            degrees of estimated motion; the others within 0.001 of their size, or two items of n
 half        from half-precision weights: the same, or a quarter of the interval's half-width;
             of a metric that does not rank, what is off by more but by less than the half-width
             cannot be told: other weights draw other images
@@ -34,8 +34,9 @@ from racines_leaderboard.audit.verdicts import (
     unknown,
 )
 from racines_leaderboard.board.collect import Record
+from racines_leaderboard.records.motions import MOVING
 from racines_leaderboard.records.ranges import CLOSE, ENDS, RANGES, faults
-from racines_leaderboard.records.tracks import MOTION, PATIENT_GENERATORS, TRACK
+from racines_leaderboard.records.tracks import PATIENT_GENERATORS, TRACK
 from racines_models.scores import diversity
 from racines_models.scores.scoring import PRDC_FRAMES
 from racines_models.statistics import wilson
@@ -49,7 +50,7 @@ BITWISE, ROUNDING, TOLERANCE, HALF = "bitwise", "rounding", "tolerance", "half p
 PRIMARY = 4e-4
 """Of the metrics that rank, in their own unit: below half of 0.001."""
 MILLIMETRES = 1e-2
-"""Likewise where those are errors in mm, of which a tenth is shown."""
+"""Likewise where those are errors in mm or degrees, of which a tenth is shown."""
 OTHERS, ITEMS = 1e-3, 2.0
 SHARE = 0.25
 """Of the half-width of an interval, for half-precision weights."""
@@ -60,7 +61,8 @@ DISTANCES = re.compile(r"(fid|kid)(_.+)?")
 """Of eigenvalues and of cubes: rounding grows."""
 NUMBERS = (*ENDS, "n")
 CONTINUOUS = ("ssim", "psnr", "fid", "kid", "final_grade", "spl", "position_error", "return",
-              "gpe", "gle", "lpe", "lle")  # fmt: skip
+              "gpe", "gle", "lpe", "lle",
+              "drift_mm", "drift_deg", "step_mm", "step_deg")  # fmt: skip
 """Figures that are equal to the last bit by no accident."""
 
 
@@ -132,7 +134,7 @@ def _counts(
         return _episodes(record, place, metrics)
     if record["track"] == PATIENT_GENERATORS.name:
         return {}  # of which frames each is, its evidence tells
-    if record["track"] == MOTION.name:
+    if record["track"] in MOVING:
         return moving.counts(record, bench)
     if bench.settings is None or place.startswith("by_stratum"):
         return {}  # how many frames are scored, or lie in a stratum, is not known
@@ -286,7 +288,7 @@ def bounds_of(key: str, here: dict[str, Any], tier: str, track: str) -> tuple[fl
     """
     ranks, doubtful = key in TRACK[track].ranked_by, 0.0
     size = max(1.0, abs(here["value"] or 0.0))
-    primary = MILLIMETRES if track == MOTION.name else PRIMARY
+    primary = MILLIMETRES if track in MOVING else PRIMARY
     bound = primary if ranks else size * max(OTHERS, ITEMS / max(here["n"], 1))
     if tier == HALF and None not in (here["low"], here["high"]):
         width = here["high"] - here["low"]
@@ -303,4 +305,4 @@ def bounds_by_metric(made: dict[str, Any], tier: str, track: str) -> dict[str, f
     else:
         bounds = {key: bounds_of(key, here, tier, track)[0] for key, here in metrics}
     explained = SUMMED if tier == BITWISE else OTHERS
-    return bounds | ({"explained": explained} if track == MOTION.name else {})
+    return bounds | ({"explained": explained} if track in MOVING else {})

@@ -8,13 +8,13 @@ from collections.abc import Iterator
 from racines_data.errors import RacinesError
 from racines_envs.agents import agent_class
 from racines_envs.evaluation.agent_specs import find_entry
-from racines_leaderboard.audit import weights
+from racines_leaderboard.audit import moving, weights
 from racines_leaderboard.audit.bench import JUDGES, KINDS, Bench
 from racines_leaderboard.audit.verdicts import RETRAINABLE, Report
 from racines_leaderboard.board.collect import Record
+from racines_leaderboard.records.motions import MOVING, TRACKED_MOTION, TURN_MOTION
 from racines_leaderboard.records.tracks import (
     HELD_OUT,
-    MOTION,
     PATIENT_AGENTS,
     PATIENT_GENERATORS,
     TRACK,
@@ -24,6 +24,13 @@ from racines_leaderboard.records.verdicts import NOT_VERIFIED
 from racines_models.registry import PATIENTS
 
 TRAIN = "racines train"
+_TURNS = "racines data import FOLDER --source rotation --set split=gap"
+IMPORTS = {
+    TURN_GENERATORS.name: _TURNS,
+    TURN_MOTION.name: _TURNS,
+    TRACKED_MOTION.name: "racines data import FILES --source tracked --set segments=1",
+}
+"""Commands that read the recordings of a track, which are of nobody's recipe."""
 NAMED = ("grader", "pose")
 """Judges whose folder an option names."""
 
@@ -38,15 +45,16 @@ def remedies(record: Record, bench: Bench, report: Report, quick: bool) -> Itera
         return
     settings = _settings(bench)
     subjects = {each.subject for each in report.open}
-    stored = record["track"] in (*HELD_OUT, MOTION.name)
+    stored = record["track"] in (*HELD_OUT, *MOVING)
     lacking = bench.lacks_for(record)
     data = shlex.quote(str(bench.data))
     if stored and lacking:
         data = shlex.quote(str(bench.places.data.parent / record["board"]))
-        make = f"racines data build {settings}"
-        if record["track"] == TURN_GENERATORS.name:  # of nobody's recipe: recorded
-            make = "racines data import FOLDER --source rotation --set split=gap"
-        yield f"{make} --out {data}"
+        build = f"racines data build {settings}"
+        yield f"{IMPORTS.get(record['track'], build)} --out {data}"
+    other = moving.board_learned_on(record, bench) if record["track"] in MOVING else None
+    if other is not None and moving.lacks_to_learn(record, bench):
+        yield f"racines data build {_settings(other)} --out {_learned_from(record, other)}"
     absent = _absent_judges(record, subjects)
     for kind, sha256 in absent.items():
         # One that a board is pinned to was published with it: another training is another judge.
@@ -57,9 +65,11 @@ def remedies(record: Record, bench: Bench, report: Report, quick: bool) -> Itera
         yield f"racines submit {shlex.quote(str(folder))} --fetch"
     if not quick and not lacking and _unmade(record, subjects, report):
         kind = "agent" if TRACK[record["track"]].steers else "generator"
-        kind = "motion" if record["track"] == MOTION.name else kind
+        kind = "motion" if record["track"] in MOVING else kind
         name = weights.run_called(record)
         on = f" --data {data}"
+        if other is not None:
+            settings, on = _settings(other), f" --data {_learned_from(record, other)}"
         if record["track"] in (PATIENT_AGENTS.name, PATIENT_GENERATORS.name):
             on = _of_view(record, bench) if kind == "agent" else f" --tier {PATIENTS}"
         yield f"{TRAIN} {kind} {name} {settings}{on}"
@@ -74,6 +84,13 @@ def remedies(record: Record, bench: Bench, report: Report, quick: bool) -> Itera
     hashes = ((kind, absent[kind]) for kind in named if re.fullmatch(r"[0-9a-f]{64}", absent[kind]))
     files = "; ".join(f"{JUDGES[kind]} of sha256 {sha256}" for kind, sha256 in hashes)
     yield f"{audit}{options}  # {files}" if files else f"{audit}{options}"
+
+
+def _learned_from(record: Record, other: Bench) -> str:
+    """Return where the data lie, or would, that an estimator learned from: another board's."""
+    sweeps = moving.learned_on(record, other)
+    folder = other.places.data.parent / other.board if sweeps is None else sweeps.store.root
+    return shlex.quote(str(folder))
 
 
 def _of_view(record: Record, bench: Bench) -> str:

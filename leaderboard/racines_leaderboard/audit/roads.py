@@ -24,9 +24,9 @@ from racines_leaderboard.audit.bench import KINDS, Bench
 from racines_leaderboard.audit.numbers import HALF
 from racines_leaderboard.board.collect import Record
 from racines_leaderboard.board.recompute import Ground, recompute_scores, scored_on
+from racines_leaderboard.records.motions import MOVING
 from racines_leaderboard.records.tracks import (
     HELD_OUT,
-    MOTION,
     PATIENT_AGENTS,
     PATIENT_GENERATORS,
     TRACK,
@@ -103,7 +103,7 @@ def find_road(record: Record, bench: Bench) -> Road | str:
         return Road("artefacts", source, partial(_of_artefacts, folder, on))
     if record["track"] == PATIENT_GENERATORS.name:
         return _adapting(record, bench)
-    if record["track"] == MOTION.name:
+    if record["track"] in MOVING:
         return _moving(record, bench)
     return (_generator if record["track"] in HELD_OUT else _agent)(record, bench)
 
@@ -211,6 +211,8 @@ def _moving(record: Record, bench: Bench) -> Road | str:
     if not trained:
         return Road("no weights", "it learns nothing", again)
     if not claimed:
+        if lacking := moving.lacks_to_learn(record, bench):
+            return lacking
         source = "it does not train: fitted again on the data"
         return Road("fitted", source, lambda: _fitted_motion(record, bench))
     for called, wanted, trainings in (

@@ -50,8 +50,9 @@ from racines_leaderboard.audit.verdicts import (
     unknown,
 )
 from racines_leaderboard.board.collect import Record, read_record
+from racines_leaderboard.records.motions import MOVING
 from racines_leaderboard.records.schema import sealed, write_record
-from racines_leaderboard.records.tracks import HELD_OUT, MOTION, PATIENT_GENERATORS, TRACK
+from racines_leaderboard.records.tracks import HELD_OUT, PATIENT_GENERATORS, TRACK
 from racines_models.statistics import Evidence
 
 Finder = Callable[[Record, Bench], Road | str]
@@ -134,14 +135,15 @@ def retrain(path: Path, bench: Bench, into: Path) -> Report:
         for each in _check(path, record, bench)
     ]
     not_merged = "its code is not merged: only its artefacts can be scored again"
-    if reason := not_merged if weights.submitted(record) else bench.lacks_for(record):
+    lacking = bench.lacks_for(record) or moving.lacks_to_learn(record, bench)
+    if reason := not_merged if weights.submitted(record) else lacking:
         return _report(record, bench, [*verdicts, unknown("reproduced", reason)], {})
     folder = into / bench.board / record["track"] / record["name"]
     if record["track"] in HELD_OUT:
         again = score_fitted(record, bench, folder)
     elif record["track"] == PATIENT_GENERATORS.name:
         again = Made.of(adapting.score_trained(record, bench, folder))
-    elif record["track"] == MOTION.name:
+    elif record["track"] in MOVING:
         again = Made.of(moving.score_trained(record, bench, folder))
     else:
         again = score_agent(record, bench, folder, train=True)
@@ -186,7 +188,7 @@ def _check(path: Path, record: Record, bench: Bench) -> Iterator[Verdict]:
         yield from claims.drawing_seeds(record, bench)
     elif record["track"] == PATIENT_GENERATORS.name:
         yield from adapting.asked(record, bench)
-    elif record["track"] == MOTION.name:
+    elif record["track"] in MOVING:
         yield from moving.scored_on(record, bench)
     else:
         yield from claims.task(record, bench)

@@ -14,12 +14,8 @@ from racines_leaderboard.audit.bench import Bench
 from racines_leaderboard.audit.verdicts import Verdict, equal, fails, holds, tell, told, unknown
 from racines_leaderboard.board.collect import Record, basis_of
 from racines_leaderboard.board.trained import read_told, training_of
-from racines_leaderboard.records.tracks import (
-    HELD_OUT,
-    MOTION,
-    PATIENT_AGENTS,
-    PATIENT_GENERATORS,
-)
+from racines_leaderboard.records.motions import MOTION, MOVING
+from racines_leaderboard.records.tracks import HELD_OUT, PATIENT_AGENTS, PATIENT_GENERATORS
 from racines_leaderboard.submissions.document import files_of, rescored
 from racines_models.exchange.predictions.file import Predictions, metadata_of
 from racines_models.provenance import weights_sha256
@@ -75,7 +71,7 @@ def run_of(record: Record, bench: Bench) -> Path:
     if record["track"] == PATIENT_GENERATORS.name:  # of one heart too, which ignore the patient
         folders = [each / PATIENTS / name for each in (places.runs, places.weights)]
         folders += [places.weights / name]
-    elif record["track"] == MOTION.name:
+    elif record["track"] in MOVING:
         folders = [each / MOTION.name / name for each in (places.runs, places.weights)]
     elif record["track"] in HELD_OUT:
         kept = places.weights

@@ -23,7 +23,8 @@ from racines_leaderboard.board.table import (
     titled_markdown,
 )
 from racines_leaderboard.fresh.flags import flag_notes
-from racines_leaderboard.records.tracks import PERCENT, TRACKS, Column, Track
+from racines_leaderboard.records.columns import PERCENT, Column, Track
+from racines_leaderboard.records.tracks import TRACKS
 
 BEGIN = "<!-- leaderboard {board}: written by `racines leaderboard --readme` -->"
 END = "<!-- end of leaderboard -->"

@@ -20,10 +20,10 @@ from racines_envs.evaluation.patients import PatientsConfig, StartSet, evaluate_
 from racines_envs.evaluation.run import EvaluationConfig, evaluate
 from racines_envs.worlds.making import find_task, make_phantom, patients_recipe, phantom_recipe
 from racines_leaderboard.board.collect import Record, record_of, write_records
+from racines_leaderboard.records.motions import MOVING
 from racines_leaderboard.records.schema import check
 from racines_leaderboard.records.tracks import (
     HELD_OUT,
-    MOTION,
     PATIENT_AGENTS,
     PATIENT_GENERATORS,
     TRACK,
@@ -133,7 +133,7 @@ def recompute_scores(
     paths = [folder / artefact["path"] for artefact in artefacts]
     makers = dict.fromkeys(HELD_OUT, _generator_scores) | {
         PATIENT_GENERATORS.name: _scores_of_adapting,
-        MOTION.name: _motion_scores,
+        **dict.fromkeys(MOVING, _motion_scores),
     }
     make = makers.get(document["track"], agent_scores)
     scores = make(document, artefacts[0]["kind"], paths, ground)
@@ -172,7 +172,7 @@ def _try_contract(folder: Path, document: dict[str, Any], ground: Ground) -> Non
         asked = _asked(document, ground)
         probe(folder, document, asked, ground.limits)
         return
-    if document["track"] == MOTION.name:
+    if document["track"] in MOVING:
         return  # its file was looked into
     if document["track"] == PATIENT_AGENTS.name:
         probe(folder, document, limits=ground.limits, view=on_patients(ground).view)

@@ -13,8 +13,9 @@ import numpy as np
 
 from racines_data.errors import RacinesError
 from racines_leaderboard.board.evidence import distinct_trainings, read_evidence
+from racines_leaderboard.records.columns import TRAININGS, Track
 from racines_leaderboard.records.pins import Pin, anchored
-from racines_leaderboard.records.tracks import MOTION, TRAININGS, Track, track_of
+from racines_leaderboard.records.tracks import track_of
 from racines_models.statistics import Evidence
 from racines_models.statistics.intervals import (
     Interval,
@@ -84,10 +85,10 @@ def is_bound(record: Record) -> bool:
     artefacts = (record.get("submission") or {}).get("artefacts") or ()
     if any(each["kind"] == "trace" for each in artefacts):
         return True
-    if "motion" in scores:
-        return scores["told_first"] or scores["motion"] in MOTION.bounds
     track = track_of(scores)
     bounds = () if track is None else track.bounds
+    if "motion" in scores:
+        return scores["told_first"] or scores["motion"] in bounds
     modules = {f"racines_models.generators.{name.replace('-', '_')}" for name in bounds}
     adapters = {str(each.get("adapter", "")).partition(":")[0] for each in artefacts}
     return scores.get("generator") in bounds or bool(adapters & modules)

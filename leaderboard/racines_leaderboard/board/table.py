@@ -33,7 +33,8 @@ from racines_leaderboard.board.rank import (
     unpinned,
     verdict_of,
 )
-from racines_leaderboard.records.tracks import PERCENT, TRACKS, Column, Track, board_tracks
+from racines_leaderboard.records.columns import PERCENT, Column, Track
+from racines_leaderboard.records.tracks import TRACKS, board_tracks
 from racines_models.statistics import LEVEL
 
 STUDIED = ("expert", "robustness")

@@ -72,6 +72,14 @@ WEIGHINGS: dict[str, dict[str, Weighing]] = {
         "local": _of("lpe", "lle"),
         **COMMON,
     },
+    "tracked-motion": {
+        "score": _of("drift_mm", "drift_deg", "step_mm", "step_deg"),
+        "place": _of("drift_mm", "step_mm"),
+        "angle": _of("drift_deg", "step_deg"),
+        "global": _of("drift_mm", "drift_deg"),
+        "local": _of("step_mm", "step_deg"),
+        **COMMON,
+    },
 }
 
 

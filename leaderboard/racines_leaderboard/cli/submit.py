@@ -33,7 +33,7 @@ def submit(
     unconfined: opt.Unconfined = False,
     track: Annotated[
         str,
-        typer.Option(help="With --new: generators, agents, motion, patient- or turn-…."),
+        typer.Option(help="With --new: generators, agents, motion, or patient-, turn-, tracked-…."),
     ] = "generators",
     as_json: opt.AsJson = False,
 ) -> None:

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from racines_data.errors import RacinesError
+from racines_envs.robots.arm import FREE
 from racines_leaderboard.records.schema import read_json
 from racines_leaderboard.records.tracks import Track
 
@@ -65,11 +66,15 @@ def anchored(scores: dict[str, Any], track: Track, pin: Pin | None) -> Pin | Non
 
 
 def check_fits(scores: dict[str, Any], track: Track, pin: Pin | None, where: str) -> None:
-    """Refuse scores that are not made on what the board is pinned to.
+    """Refuse scores that are not made on what the board is pinned to, and those with an arm.
 
     Raises:
         RacinesError: the first field that differs, the board's value, and the remedy.
     """
+    if track.steers and (robot := scores["task"].get("robot", FREE)) != FREE:
+        raise RacinesError(
+            f"{where}: task.robot: {robot}; boards are of free probes: evaluate it without an arm"
+        )
     part = (pin or {}).get(track.name)
     if pin is None or part is None:
         return

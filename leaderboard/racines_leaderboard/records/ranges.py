@@ -24,7 +24,7 @@ AMOUNTS = (
     r"fid(_grader)?|density(_grader)?|pose_error_mm(_view)?(_truth)?|(view_)?position_error|seconds"
     r"|(position_error|seconds)_(median|(upper_)?quartile)"
     r"|(episode_)?steps(_iqm|_median)?|(peak|mean)_force|violations|latency|images_per_second_\d+"
-    r"|seconds_to_adapt|[gl][pl]e|(drift|step)_mm"
+    r"|arm_hits|seconds_to_adapt|[gl][pl]e|(drift|step)_mm"
     r"|(feature_distance|fid)_(neighbour|train)|feature_distance"
 )
 ANGLES = (

@@ -5,90 +5,12 @@ Installed packages add columns: each metric of the group `racines.metrics` is on
 """
 
 import dataclasses
-from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any
 
 from racines_data.plugins import Plugins
 from racines_envs.task.names import HEART_TIER, tier_of
-from racines_models.statistics import LEVEL
-
-
-@dataclass(frozen=True)
-class Column:
-    """A metric as the tables show it."""
-
-    key: str
-    label: str
-    better: str
-    """`higher`, `lower`, or `none` for a metric that is shown and not judged."""
-    digits: int = 3
-    scale: float = 1.0
-    unit: str = ""
-    track: str = "generators"
-    """Of a column of another package: the track whose tables it stands in."""
-    value: Callable[[dict[str, Any]], dict[str, Any] | None] | None = None
-    """Instead of the metric `key`: what a column makes of a record, as `racines:metric`."""
-
-    @property
-    def title(self) -> str:
-        """The label with its arrow and unit."""
-        arrow = {"higher": " ↑", "lower": " ↓", "none": ""}[self.better]
-        return f"{self.label}{f' ({self.unit})' if self.unit else ''}{arrow}"
-
-    def improves(self, first: float, second: float) -> bool:
-        """Return whether the first value is better than the second."""
-        return first > second if self.better == "higher" else first < second
-
-
-@dataclass(frozen=True)
-class Track:
-    """One table of a board."""
-
-    name: str
-    schema: str
-    """Kind of the scores file."""
-    subject: str
-    """Key of the system's name in the scores file."""
-    columns: tuple[Column, ...]
-    ranked_by: tuple[str, ...]
-    """Keys of the columns that the score is the mean of, each between the board's anchors."""
-    anchors: tuple[str, ...]
-    """Names of the methods whose metrics are 0 and 1; the latter is left out where `exact` is."""
-    bounds: tuple[str, ...]
-    """Methods that stand on the board without a place."""
-    rule: str
-    counted: str
-    """What n counts."""
-    unit: str
-    """What was drawn independently, which intervals resample."""
-    details: tuple[Column, ...] = ()
-    """Further metrics, for a second table."""
-    exact: float | None = None
-    """What each ranked metric is of the truth, where that is known and so stands at 1."""
-    own_starts: bool = False
-    """Whether each task has a start set of its own; else a board has one."""
-
-    @property
-    def steers(self) -> bool:
-        """Whether its systems are agents, which have a task each."""
-        return self.subject == "agent"
-
-    def ranked_columns(self) -> list[Column]:
-        """Return the columns of `ranked_by`."""
-        columns = {column.key: column for column in self.columns}
-        return [columns[key] for key in self.ranked_by]
-
-
-PERCENT = f"{100 * LEVEL:g} %"
-"""Nominal coverage of the intervals, as captions say it."""
-TRAININGS = 3
-"""Fewest trainings with which a trained system takes a place."""
-_PLACES = (
-    f"Ahead is who has the higher score, with a paired {PERCENT} interval of the difference that "
-    "leaves out 0; a place is 1 and how many are ahead, shared places are marked =. Bounds, a "
-    f"trained system of fewer than {TRAININGS} trainings, and one without evidence have no place."
-)
+from racines_leaderboard.records.columns import PLACES, Column, Track
+from racines_leaderboard.records.motions import MOTION, MOTION_TRACKS, TURNS, motion_track
 
 GENERATORS = Track(
     name="generators",
@@ -110,7 +32,7 @@ GENERATORS = Track(
     bounds=("mean-image", "noise-ceiling", "nearest-pose"),
     rule=(
         "Score: the mean of SSIM, PSNR, FID, KID and pose error (mm), each from 0 at mean-image to "
-        f"1 at noise-ceiling, whose figures are fixed for the board. {_PLACES}"
+        f"1 at noise-ceiling, whose figures are fixed for the board. {PLACES}"
     ),
     counted="frames of the test split",
     unit="trajectories",
@@ -149,7 +71,7 @@ AGENTS = Track(
     bounds=(),
     rule=(
         "Score: the mean of true success, SPL and final grade, each from 0 at random to 1 at "
-        f"planner, whose figures are fixed for the task; the return never ranks. {_PLACES}"
+        f"planner, whose figures are fixed for the task; the return never ranks. {PLACES}"
     ),
     counted="episodes from the fixed starts",
     unit="starts",
@@ -177,7 +99,7 @@ PATIENT_AGENTS = Track(
         "Score: the share of the starts from which the view is found and declared, from 0 at "
         "constant-pose, the pose that shows the view in most train patients, to 1 at planner, who "
         "is told the truth; both are fixed for the task. Distance and angle to the patient's "
-        f"nominal pose at the end count all episodes, failures included. {_PLACES}"
+        f"nominal pose at the end count all episodes, failures included. {PLACES}"
     ),
     counted="episodes on patients whom nobody trained on",
     unit="patients",
@@ -216,7 +138,7 @@ PATIENT_GENERATORS = Track(
         "Score: the mean of SSIM, PSNR, KID, pose error (mm) and Dice, each from 0 at mean-image "
         "to 1 at noise-ceiling, the patients scanned again, whose figures are fixed for the board. "
         "Each patient is met by a scout of 64 frames; the poses that are asked for lie up to 20 mm "
-        f"from it, where 1 degree counts 1.2 mm. nearest-pose looks them up there. {_PLACES}"
+        f"from it, where 1 degree counts 1.2 mm. nearest-pose looks them up there. {PLACES}"
     ),
     counted="frames of patients whom nobody trained on",
     unit="patients",
@@ -232,37 +154,6 @@ PATIENT_GENERATORS = Track(
     ),
 )
 """Generators that meet hearts which nobody trained on; scored as those of `generators`."""
-
-MOTION = Track(
-    name="motion",
-    schema="motion-scores",
-    subject="motion",
-    columns=(
-        Column("gpe", "GPE", "lower", 1, unit="mm"),
-        Column("gle", "GLE", "lower", 1, unit="mm"),
-        Column("lpe", "LPE", "lower", 1, unit="mm"),
-        Column("lle", "LLE", "lower", 1, unit="mm"),
-        Column("drift_mm", "Drift", "lower", 1, unit="mm"),
-        Column("drift_deg", "Drift", "lower", 1, unit="°"),
-    ),
-    ranked_by=("gpe", "gle", "lpe", "lle"),
-    anchors=("no-motion",),
-    bounds=("no-motion", "constant-motion", "mean-motion"),
-    rule=(
-        "Score: the mean of GPE, GLE, LPE and LLE, each from 0 at no-motion, whose figures are "
-        "fixed for the board, to 1 at the true motion, whose errors are 0. constant-motion is told "
-        f"how the sweep begins. {_PLACES}"
-    ),
-    counted="sweeps of the test split",
-    unit="patients",
-    details=(
-        Column("step_mm", "Step", "lower", 2, unit="mm"),
-        Column("step_deg", "Step", "lower", 2, unit="°"),
-        Column("score", "Score, a sweep at a time", "higher"),
-    ),
-    exact=0.0,
-)
-"""Who estimates the probe's motion from images alone; see `racines_models.trackerless`."""
 
 TURN_GENERATORS = Track(
     name="turn-generators",
@@ -283,7 +174,7 @@ TURN_GENERATORS = Track(
         "the mean of SSIM, PSNR and distance in features, each from 0 at mean-image to 1 at "
         "neighbouring-frame, the real frame of the next turn at the same phase, whose figures are "
         "fixed for the board. There are no forces, views, grades or poses read back, and no "
-        f"millimetres where the size of a pixel is not known. {_PLACES}"
+        f"millimetres where the size of a pixel is not known. {PLACES}"
     ),
     counted="frames of held-out turns of one heart",
     unit="sectors of turns",
@@ -302,9 +193,12 @@ TURN_GENERATORS = Track(
 )
 """Generators of recorded turns about the apex; scored as those of `generators`."""
 
-TRACKS = (GENERATORS, AGENTS, PATIENT_AGENTS, PATIENT_GENERATORS, TURN_GENERATORS, MOTION)
-SCOUTS, TURNS = "scouts", "rotation"
-"""Sources of the frames that generators on patients, and on recorded turns, are scored on."""
+TRACKS = (
+    *(GENERATORS, AGENTS, PATIENT_AGENTS, PATIENT_GENERATORS, TURN_GENERATORS),
+    *MOTION_TRACKS,
+)
+SCOUTS = "scouts"
+"""Source of the frames that generators on patients are scored on."""
 BY_SOURCE = {SCOUTS: PATIENT_GENERATORS, TURNS: TURN_GENERATORS}
 """Tracks of generators by the source of the frames that they are scored on; else `generators`."""
 TRACK = {track.name: track for track in TRACKS}
@@ -325,7 +219,7 @@ def track_of(scores: dict[str, Any]) -> Track | None:
         source = data.get("source") if isinstance(data, dict) else None
         return BY_SOURCE.get(str(source), GENERATORS)
     if declared == f"racines.{MOTION.schema}/1":
-        return MOTION
+        return motion_track(scores)
     if declared != f"racines.{AGENTS.schema}/1":
         return None
     task = scores.get("task")

@@ -15,7 +15,8 @@ from racines_leaderboard.board.collect import boards, read_board
 from racines_leaderboard.board.pages import panel
 from racines_leaderboard.board.rank import SCORE, SHOWN, Ranked, Record, by_task, rank, verdict_of
 from racines_leaderboard.board.table import Table, ranked_tables, reported_tables, shown_columns
-from racines_leaderboard.records.tracks import PERCENT, TIERS, TRACK, Column, Track, board_tracks
+from racines_leaderboard.records.columns import PERCENT, Column, Track
+from racines_leaderboard.records.tracks import TIERS, TRACK, board_tracks
 from racines_leaderboard.studio import html
 from racines_leaderboard.studio.html import cut, drawn, element, link, note, text
 from racines_leaderboard.studio.inputs import choice, choices

@@ -66,9 +66,10 @@ REMEDY = "a pickle can run code and an archive can unpack to anything: give " + 
 )
 
 GENERATORS, AGENTS, ON_PATIENTS = "generators", "agents", "patient-agents"
-ADAPTING, TURNS, MOTION = "patient-generators", "turn-generators", "motion"
+ADAPTING, TURNS = "patient-generators", "turn-generators"
+MOVING = "motion", "tracked-motion", "turn-motion"
 _STEER = AGENTS, ON_PATIENTS
-ALL = (GENERATORS, *_STEER, ADAPTING, TURNS, MOTION)
+ALL = (GENERATORS, *_STEER, ADAPTING, TURNS, *MOVING)
 SEVERAL = {"generator": ALL, "motion": ALL, "policy": _STEER, "predictions": (ADAPTING,)}
 """Kinds of which there may be several, the trainings of one method, and where."""
 
@@ -89,7 +90,7 @@ KINDS = {
     "generator": Kind(".onnx", (GENERATORS, TURNS), "a network that draws", True),
     "policy": Kind(".onnx", _STEER, "a network that steers", True),
     "trace": Kind(".json", _STEER, "the actions of every episode", True),
-    "motion": Kind(".parquet", (MOTION,), "the motion of every test sweep", True),
+    "motion": Kind(".parquet", MOVING, "the motion of every test sweep", True),
     "weights": Kind(".safetensors", ALL, "weights of merged code"),
     "scores": Kind(".json", ALL, "the submitter's own scores"),
     "robustness": Kind(".json", (ON_PATIENTS,), "the submitter's own robustness report"),

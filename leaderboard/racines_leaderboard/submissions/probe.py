@@ -34,7 +34,7 @@ from racines_leaderboard.submissions.confined.session import (
     ConfinedPolicyAgent,
     Limits,
 )
-from racines_leaderboard.submissions.document import MOTION
+from racines_leaderboard.submissions.document import MOVING
 from racines_models.contract import (
     FEWEST,
     ContractError,
@@ -112,7 +112,7 @@ def probe(
         RacinesError: what an artefact's reader refuses.
     """
     found = Probed()
-    for artefact in document["artefacts"] if document["track"] != MOTION else ():
+    for artefact in document["artefacts"] if document["track"] not in MOVING else ():
         kind, name = artefact["kind"], artefact.get("path") or artefact.get("adapter")
         path = folder / artefact.get("path", "")
         with _named(f"{document['name']}: {name}"):

@@ -30,6 +30,8 @@ SHARES = ("score",)
 """TUS-REC's final score: 1 - error / that of no motion, a mean of the four errors."""
 AXES = ("shift_x", "shift_y", "shift_z", "turn_x", "turn_y", "turn_z")
 """Of the probe: x to the right of the image, y out of its plane, z along the middle beam."""
+SHIFTS = 3
+"""How many of them, the first ones, are shifts."""
 NOTES = [
     "Errors are means over sweeps of means over pixels, or landmarks, of all frames but the first.",
     "Landmarks are corners found in the images, where TUS-REC has anatomical ones.",
@@ -178,7 +180,7 @@ def score_motion(
         "sweeps": {str(each.number): each.id for each in found},
         "runs": len(motions),
         "metrics": metrics,
-        "explained": _explained(motions, found),
+        "explained": _explained(motions, found, sweeps.metric),
         "withheld": _withheld(sweeps, found),
         "settings": described(config),
         "trained": False,
@@ -229,12 +231,13 @@ def _errors(
 
 
 def _explained(
-    motions: Sequence[dict[str, Motion]], found: Sequence[Sweep]
+    motions: Sequence[dict[str, Motion]], found: Sequence[Sweep], metric: bool
 ) -> dict[str, float | None]:
     """Return of each of the six numbers of a step the share of its power that is estimated.
 
     It is 1 - sum of squared errors / sum of squares: 0 for a probe that rests, 1 for the truth.
-    Shifts x and z and turns about y keep to the image plane; the others leave it.
+    Shifts x and z and turns about y keep to the image plane; the others leave it. Of positions
+    without metres no shift is told, since estimates are in metres.
     """
     true = torch.cat([to_vectors(each.motion.to_previous[1:]) for each in found])
     power = true.square().sum(0)
@@ -242,6 +245,8 @@ def _explained(
     for each in motions:
         told = torch.cat([to_vectors(each[sweep.id].to_previous[1:]) for sweep in found])
         missed += (told.double() - true).square().sum(0) / len(motions)
+    if not metric:
+        power[:SHIFTS] = 0.0
     share = zip(AXES, (1.0 - missed / power).tolist(), power.tolist(), strict=True)
     return {name: value if whole > 0 else None for name, value, whole in share}
 

@@ -109,8 +109,12 @@ class SweepSet:
             )
 
     def count(self, split: str) -> int:
-        """Return the number of sweeps of a split."""
-        return len(self._rows[split])
+        """Return the number of sweeps of a split, or of `all`."""
+        return sum(len(self._rows[name]) for name in self._parts(split))
+
+    def _parts(self, split: str) -> tuple[str, ...]:
+        """Return under which names the sweeps of a split are kept."""
+        return (split,) if split in self._rows else SPLITS
 
     def units(self, rows: Tensor) -> np.ndarray:
         """Return what each of (N,) rows was drawn independently with."""
@@ -126,8 +130,7 @@ class SweepSet:
             raise RacinesError(
                 f"unknown split {split!r}: choose one of {', '.join(SPLITS)} or {EVERY}"
             )
-        names = (split,) if split in self._rows else SPLITS
-        found = [each for name in names for each in self._rows[name]]
+        found = [each for name in self._parts(split) for each in self._rows[name]]
         if not found:
             raise RacinesError(
                 f"{self.store.root}: split {split} has no sweep with poses: choose another --split"

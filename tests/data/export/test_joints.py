@@ -20,6 +20,8 @@ from racines_data.schema import PARAMETERS
 from racines_data.sources.patients import SWEEPS, PatientsSource
 from racines_data.sources.phantom import PhantomSource
 from racines_data.store.sweeps import read_sweeps
+from racines_envs.apis.lerobot import LeRobotEnv
+from racines_envs.apis.lerobot.formats import FORMATS
 from racines_envs.recordings.minari import patients_spec
 
 pytest.importorskip("pytorch_kinematics")
@@ -75,6 +77,22 @@ def test_lerobot_has_the_joints_at_which_the_arm_holds_each_pose(
     assert (joints >= low).all() and (joints <= high).all()
 
 
+@pytest.mark.parametrize("name", FORMATS)
+def test_a_policy_is_shown_in_a_task_what_its_export_has(name: str, root: Path, tmp_path: Path):
+    load_exporter(name)(root, tmp_path / "out")
+    (path,) = (tmp_path / "out/data").rglob("*.parquet")
+    row = pq.read_table(path).slice(0, 1).to_pylist()[0]
+    written = json.loads((tmp_path / "out/meta/info.json").read_text())["features"]
+    env = LeRobotEnv("SC", name, robot="ur5e")
+    parameters = float_columns(next(read_sweeps(root)).table, PARAMETERS)[0]
+    seen, _ = env.reset(seed=1, options={"pose": parameters[6:]})
+    assert {*seen, "action"} == {"pixels", "agent_pos", "joints", "action"}
+    for key, called in (("agent_pos", "observation.state"), ("joints", JOINTS)):
+        assert list(seen[key].shape) == written[called]["shape"]
+    assert np.allclose(seen["joints"], row[JOINTS], atol=1e-5)
+    assert np.allclose(seen["agent_pos"][-6:], row["observation.state"][-6:], atol=1e-5)
+
+
 @pytest.mark.parametrize("config", ["frames", "patients"])
 def test_minari_has_them_and_an_environment_with_the_arm(config: str, root: Path, tmp_path: Path):
     for_config(load_exporter("minari"), config, "minari")(root, tmp_path / "out")
@@ -94,6 +112,8 @@ def test_minari_has_them_and_an_environment_with_the_arm(config: str, root: Path
         if config == "frames":
             seen, _ = gymnasium.make(spec).reset(seed=1)
             assert set(seen) == {"image", "params", "joints"}
+            moved = gymnasium.make(spec, action="velocity")  # as `recover_environment` does
+            assert moved.action_space.shape == (len(batch["actions"][0]),)
     assert recovered
 
 

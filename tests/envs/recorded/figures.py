@@ -1,6 +1,6 @@
 """What the documentation says of replays: scores that `racines eval agent` wrote, as a table.
 
-python -m tests.envs.recorded.figures SCORES.json …
+python -m tests.envs.recorded.figures SCORES.json …     # rows of other recordings stay
 """
 
 import json
@@ -20,7 +20,11 @@ COMMAND = (
     "--out rotation; racines data import *.igs.mha --source tracked --out tracked; likewise with "
     "rotation --goal turn-0100:0 "
     "--set reach=20 --frames 100000, and with tracked --goal SESSION-02:3 --set session=SESSION "
-    "--set within=3 without a training; python -m tests.envs.recorded.figures SCORES.json"
+    "--set within=3 without a training; racines data build --source phantom --frames 6000 --out "
+    "built; racines data export built --format release --out tree; racines data import tree "
+    "--source release --out released; racines data annotate released --grader "
+    "models/weights/grader, and with released --view SC without a training; "
+    "python -m tests.envs.recorded.figures SCORES.json"
 )
 
 
@@ -34,8 +38,14 @@ def row_of(scores: dict[str, Any]) -> tuple[str, str, str]:
     """Return which recordings, split and agent scores are of."""
     told = scores["phantom"]
     settings, source = told["settings"], told["dataset"]["source"]
-    title = {"phantom": "abdomen, KLX", "rotation": "echo, one turn"}.get(source)
-    title = title or settings["session"].removesuffix("Freehand").replace("Phantom", " phantom")
+    known = {
+        "phantom": "abdomen, KLX",
+        "rotation": "echo, one turn",
+        "release": "release layout, SC",
+    }
+    title = known.get(source) or settings["session"].removesuffix("Freehand").replace(
+        "Phantom", " phantom"
+    )
     return title, settings["split"], scores["submission"]
 
 
@@ -69,5 +79,17 @@ def document(paths: list[Path]) -> dict[str, Any]:
     }
 
 
+def main(paths: list[Path]) -> None:
+    """Put the rows of scores in the place of those of the same recordings, and after the others."""
+    path = RESULTS / "replay.json"
+    made, there = document(paths), json.loads(path.read_text(encoding="utf-8"))
+    made["figures"] = there["figures"] | made["figures"]
+    rows = made["tables"]["success"]["rows"]
+    titles = {row[0] for row in rows}
+    kept = [row for row in there["tables"]["success"]["rows"] if row[0] not in titles]
+    made["tables"]["success"]["rows"] = kept + rows
+    write_json(path, made)
+
+
 if __name__ == "__main__":
-    write_json(RESULTS / "replay.json", document([Path(each) for each in sys.argv[1:]]))
+    main([Path(each) for each in sys.argv[1:]])

@@ -1,6 +1,7 @@
 """What an arm costs: tasks, sweeps and time with a UR5e in the loop, beside a free probe.
 
 python -m tests.envs.studies.arm DATA SAC      # writes docs/results/arm.json, docs/images/arm.png
+python -m tests.envs.studies.arm picture       # the picture alone; needs neither data nor a run
 
 DATA is the folder of a dataset of the simulated heart, SAC that of a trained run of `sac`. Starts
 are those that agents are judged on.
@@ -97,7 +98,9 @@ def picture() -> None:
 
 
 def main() -> None:
-    """Measure, and write."""
+    """Measure, and write; or draw the picture alone."""
+    if sys.argv[1:] == ["picture"]:
+        return picture()
     data, sac = Path(sys.argv[1]), Path(sys.argv[2])
     rows = [
         ["planner", view, *episodes(view, PlannerAgent(), "free")[:2],

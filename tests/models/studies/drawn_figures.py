@@ -55,7 +55,7 @@ def main(paths: list[str]) -> None:
     content = json.loads((RESULTS / "sim-to-real.json").read_text())
     content["tables"]["drawn"] = table(reports)
     told = reports[0]["drawn"]
-    content["figures"]["drawn"] = {"frames": told["n"], "patients": told["patients"]}
+    content["figures"]["of_generators"] = {"frames": told["n"], "patients": told["patients"]}
     write_json(RESULTS / "sim-to-real.json", content)
 
 

@@ -4,6 +4,9 @@ racines eval motion NAME --data DATA --out FOLDER
 racines eval motion NAME --data TRACKED --config frames --split all --out FOLDER/tracked
 racines eval motion NAME --data TRACKED --config frames --set pixel_mm=0.5125 --out FOLDER/nwire
 python -m tests.models.trackerless.figures FOLDER
+
+`figures FOLDER recorded` writes those of recordings alone, and the error of the same trainings on
+simulated sweeps, scored into FOLDER/simulated.
 """
 
 import json
@@ -176,9 +179,23 @@ def fill(folder: Path) -> None:
     tables = {name: table(name, found[name]) for name in RANKED}
     tables |= {"tracked": by_recording(folder / "tracked", found["tracked"])}
     tables |= {"explained": explained(simulated), "forgetting": forgetting()}
+    keep(figures, tables)
+
+
+def fill_recorded(folder: Path) -> None:
+    """Write the tables of recordings, of trainings that are scored on simulated sweeps as well."""
+    tracked, nwire = folder / "tracked", folder / "nwire"
+    tables = {"tracked": by_recording(tracked, read(tracked)), "nwire": table("nwire", read(nwire))}
+    again = read(folder / "simulated")[LEARNED]["metrics"]["gpe"]
+    keep({"gpe_again": {key: round(again[key], 1) for key in ("value", "low", "high")}}, tables)
+
+
+def keep(figures: dict[str, Any], tables: dict[str, Any]) -> None:
+    """Write figures and tables; what is there under other names stays."""
     content = json.loads(RESULT.read_text()) if RESULT.is_file() else {}
-    write_json(RESULT, content | {"figures": figures, "tables": tables})
+    parts = {"figures": figures, "tables": tables}
+    write_json(RESULT, content | {key: content.get(key, {}) | each for key, each in parts.items()})
 
 
 if __name__ == "__main__":
-    fill(Path(sys.argv[1]))
+    (fill_recorded if sys.argv[2:] == ["recorded"] else fill)(Path(sys.argv[1]))

@@ -4,7 +4,8 @@
 observation is `{"pixels": {"ultrasound": …}, "agent_pos": …}`, which LeRobot calls
 `observation.images.ultrasound` and `observation.state`, an action the commanded velocity: all three
 as the export of the same format writes them (`formats`), so that a policy trained on an export acts
-here. Nothing of LeRobot is imported.
+here. Where an arm carries the probe (`robot`) there are also its `joints`, rad, which LeRobot calls
+`observation.joints`. Nothing of LeRobot is imported.
 """
 
 from typing import Any
@@ -19,7 +20,15 @@ from racines_data.errors import RacinesError
 from racines_data.imaging import IMAGE_SIZE
 from racines_data.schema import PARAMETERS
 from racines_envs.apis.gym_env import GymScanEnv
-from racines_envs.apis.lerobot.formats import CAMERA, POSE, RECORDED, TASK, check_format, twist_of
+from racines_envs.apis.lerobot.formats import (
+    CAMERA,
+    JOINTS,
+    POSE,
+    RECORDED,
+    TASK,
+    check_format,
+    twist_of,
+)
 from racines_envs.apis.reading import OPTIONS
 from racines_envs.task.motion import VELOCITY, Velocity
 from racines_envs.task.sensing import box_of, encode_pose
@@ -53,7 +62,10 @@ class LeRobotEnv(gymnasium.Env[Any, Any]):
         pixels = spaces.Dict({CAMERA: spaces.Box(0, 255, shape, np.uint8)})
         most, count = (1.0, len(POSE)) if self._own else (np.inf, len(PARAMETERS))
         state = spaces.Box(-most, most, (count,), np.float32)
-        self.observation_space = spaces.Dict({"pixels": pixels, "agent_pos": state})
+        seen: dict[str, spaces.Space[Any]] = {"pixels": pixels, "agent_pos": state}
+        if core.robot.joints:
+            seen[JOINTS] = spaces.Box(-np.inf, np.inf, (core.robot.joints,), np.float32)
+        self.observation_space = spaces.Dict(seen)
         high = self._limits
         if not self._own:
             # Whichever way the probe is turned: its limits along each axis hold at every step.
@@ -90,7 +102,10 @@ class LeRobotEnv(gymnasium.Env[Any, Any]):
             state = encode_pose(core.told_pose().to("cpu"), *self._box)[0].float().numpy()
         else:
             state = core.parameters[0].cpu().numpy().astype(np.float32)
-        return {"pixels": {CAMERA: np.repeat(image, 3, axis=-1)}, "agent_pos": state}
+        seen = {"pixels": {CAMERA: np.repeat(image, 3, axis=-1)}, "agent_pos": state}
+        if core.robot.joints:
+            seen[JOINTS] = core.state.joints[0].cpu().numpy().astype(np.float32)
+        return seen
 
     def _told(self, info: dict[str, Any]) -> dict[str, Any]:
         return info | {"is_success": bool(info["success"])}

@@ -12,11 +12,12 @@ from torch import Tensor
 
 from racines_data.errors import RacinesError
 from racines_data.imaging import IMAGE_SIZE
+from racines_data.phantom.pacing import FREE, joint_count
 from racines_data.schema import CONTROLS, PARAMETERS
 
 RECORDED, TASK = "lerobot-rgb", "lerobot-task"
 FORMATS = (RECORDED, TASK)
-CAMERA = "ultrasound"
+CAMERA, JOINTS = "ultrasound", "joints"
 POSE: tuple[str, ...] = ("x", "y", "z", *(f"{column}_{axis}" for column in "ab" for axis in "xyz"))
 """Names of the nine numbers: place in the workspace's box, first and second column of rotation."""
 TWIST: tuple[str, ...] = tuple(name.replace("control", "twist") for name in CONTROLS)
@@ -33,16 +34,20 @@ def check_format(name: str) -> str:
     return name
 
 
-def features_of(name: str) -> dict[str, tuple[str, tuple[int, ...]]]:
+def features_of(name: str, robot: str = FREE) -> dict[str, tuple[str, tuple[int, ...]]]:
     """Return type and shape of what an environment gives and takes, by LeRobot's `EnvConfig` keys.
 
+    Where an arm carries the probe its joints are given too, as exports of sweeps for it have them.
+
     Raises:
-        RacinesError: no such format.
+        RacinesError: no such format, no such arm, or a package that the arm needs is not installed.
     """
     state = POSE if check_format(name) == TASK else PARAMETERS
+    joints = {} if robot == FREE else {JOINTS: ("STATE", (joint_count(robot),))}
     return {
         f"pixels/{CAMERA}": ("VISUAL", (IMAGE_SIZE, IMAGE_SIZE, 3)),
         "agent_pos": ("STATE", (len(state),)),
+        **joints,
         "action": ("ACTION", (len(TWIST),)),
     }
 

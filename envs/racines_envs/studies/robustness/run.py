@@ -29,10 +29,11 @@ from racines_envs.evaluation.patients import (
     StartSet,
     act_on_patients,
     open_agents,
+    refuse_arm,
     start_set,
     world_of,
 )
-from racines_envs.evaluation.run import told_of_agent
+from racines_envs.evaluation.told import told_of_agent
 from racines_envs.studies.kept import read_kept
 from racines_envs.studies.robustness.core import DisturbedCore
 from racines_envs.studies.robustness.disturbances import (
@@ -138,6 +139,7 @@ def evaluate_robustness(
             left as it is. Other code makes another study.
     """
     config, began = on_device(config), time.perf_counter()
+    refuse_arm(config, "robustness")
     starts, wanted = start_set(config), conditions(config)
     agents, trainings = open_agents(name, run_dir, config)
     refuse_trace(agents[0])
@@ -213,7 +215,7 @@ def _change(apart: np.ndarray, units: np.ndarray) -> dict[str, Any]:
 
 def _identity(document: dict[str, Any], config: RobustnessConfig) -> str:
     """Return a digest of all that decides the figures."""
-    aside = ("chunk", "device", "disturbances")
+    aside = ("chunk", "device", "disturbances", "robot")
     settings = {key: value for key, value in asdict(config).items() if key not in aside}
     keys = ("schema", "agent", "weights", "task", "phantom", "disturbances")
     parts = {key: document[key] for key in keys}

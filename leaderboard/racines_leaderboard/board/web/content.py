@@ -11,7 +11,8 @@ from racines_leaderboard.board.collect import boards, read_board
 from racines_leaderboard.board.rank import SCORE, Ranked, Record, by_task, rank
 from racines_leaderboard.board.standing import is_bound
 from racines_leaderboard.board.table import Table, ranked_table, shown_columns, shown_metric
-from racines_leaderboard.records.tracks import PERCENT, Column, Track, board_tracks
+from racines_leaderboard.records.columns import PERCENT, Column, Track
+from racines_leaderboard.records.tracks import board_tracks
 from racines_models.statistics.intervals import LEVEL, Interval, difference
 
 FIRST = ("patients", "beating")
@@ -24,7 +25,10 @@ ABOUT = {
     "phantom-reference": "One simulated heart at the settings of the profile reference: draw its "
     "images, or find a view of it.",
     "echo-rotation": "Draw held-out turns of one recorded real heart: n = 1 patient.",
+    "echo-interpolation": "The same of turns in narrow blocks, close to those of training.",
     "trackerless": "Estimate the motion of the probe from images alone.",
+    "trackerless-rotation": "The same of turns about the apex of one recorded real heart: angles.",
+    "trackerless-tracked": "The same of two recorded sweeps of phantoms, tracked in millimetres.",
 }
 UNKNOWN = "Results on one dataset."
 

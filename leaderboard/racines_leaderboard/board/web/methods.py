@@ -16,8 +16,8 @@ from racines_leaderboard.board.rank import Ranked, Record, metric_of, verdict_of
 from racines_leaderboard.board.standing import anchor
 from racines_leaderboard.board.web.content import Section
 from racines_leaderboard.board.web.drawing import Bar, bars_svg
+from racines_leaderboard.records.columns import PERCENT
 from racines_leaderboard.records.pins import anchored, read_pin
-from racines_leaderboard.records.tracks import PERCENT
 from racines_leaderboard.records.verdicts import DOES_NOT_HOLD, HOLDS, NOT_VERIFIED
 
 PICTURES = "pictures"
