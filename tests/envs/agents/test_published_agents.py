@@ -9,6 +9,7 @@ import torch
 from racines_envs.agents import load_agent
 from racines_envs.agents.onnx.policy import export_run
 from racines_envs.agents.rollout import rollout
+from racines_envs.task.motion import DISCRETE
 from racines_envs.task.starts import evaluation_seeds
 from racines_envs.worlds.making import make_core, make_phantom, phantom_recipe
 from racines_envs.worlds.ward import make_ward
@@ -63,7 +64,7 @@ def test_a_published_policy_finds_most_train_patients_views(folder, seed):
         "AnyView-patients", 10, observation=agent.observation, reward="oracle", phantom=ward
     )
     final = rollout(core, agent, evaluation_seeds(10)).final
-    assert final["declared"].mean() > 0.8 and final["success"].mean() >= 0.4
+    assert final["declared"].mean() >= 0.8 and final["success"].mean() >= 0.4
 
 
 @pytest.mark.parametrize("folder", runs(patients=False), ids=lambda folder: folder.name)
@@ -75,9 +76,11 @@ def test_a_published_policy_loads_and_arrives(folder):
     assert made in (None, phantom_recipe(phantom)), "the phantom has changed: train them again"
     if told["config"].get("backend") == ELSEWHERE:
         return
+    action = getattr(agent, "action", DISCRETE)
     core = make_core(
-        agent.view, STARTS, observation=agent.observation, reward="oracle", phantom=phantom
-    )
+        agent.view, STARTS, observation=agent.observation, action=action, reward="oracle",
+        phantom=phantom,
+    )  # fmt: skip
     final = rollout(core, agent, evaluation_seeds(STARTS)).final
     assert int(final["success"].sum()) >= STARTS - 1
 
