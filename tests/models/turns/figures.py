@@ -1,6 +1,7 @@
 """What docs/rotation.md says of a split: scores of generators, and their lead over retrieval.
 
 python -m tests.models.turns.figures interpolation echo/scores
+python -m tests.models.turns.figures judged gap=echo/judged-gap interpolation=echo/judged
 """
 
 import json
@@ -22,6 +23,8 @@ SHOWN = {"ssim": 3, "psnr": 2, "feature_distance": 2, "fid": 0, "kid": 3}
 """Metrics of the table, with digits; those of the differences are the first three."""
 OTHERS = {"neighbour": "(bound) next turn", "train": "(leak) nearest training turn"}
 """Rows that the floor's scores have besides, by the end of their metrics' names."""
+JUDGED = "feature_distance_grader"
+SPLITS = {"gap": "one gap", "interpolation": "narrow blocks"}
 TITLES = ["SSIM", "PSNR, dB", "distance in features", "FID", "KID"]
 
 
@@ -65,12 +68,35 @@ def leads(folder: Path) -> dict[str, Any]:
     return {"columns": [f"generator – {FLOOR}", *TITLES[:3]], "rows": rows}
 
 
-def main(split: str, folder: Path) -> None:
-    """Write both tables of a split."""
+def judged(folders: dict[str, Path]) -> dict[str, Any]:
+    """Return the table of distances in a grader's features: of retrieval, and what others add."""
+    rows = []
+    for split, folder in folders.items():
+        kept = {each.stem: Evidence.read(each).figures for each in folder.glob("*.parquet")}
+        floor = kept[FLOOR][JUDGED]
+        scores = json.loads((folder / f"{FLOOR}.json").read_text())["metrics"][JUDGED]
+        rows.append([SPLITS[split], FLOOR, cell(scores, 2), "–"])
+        for name in LEARNED:
+            if name in kept:
+                scores = json.loads((folder / f"{name}.json").read_text())["metrics"][JUDGED]
+                found = difference(kept[name][JUDGED].replicates(), floor.replicates())
+                told = f"{found.value:+.2f} ({found.low:+.2f} to {found.high:+.2f})"
+                rows.append([SPLITS[split], name, cell(scores, 2), told])
+    columns = ["held out", "generator", "distance in the grader's features", f"minus {FLOOR}"]
+    return {"columns": columns, "rows": rows}
+
+
+def main(split: str, *given: str) -> None:
+    """Write both tables of a split, or that of the judge."""
     document = json.loads(RESULT.read_text())
-    document["tables"] |= {split: table(folder), f"{split}_difference": leads(folder)}
+    if split == "judged":
+        pairs = [each.split("=", 1) for each in given]
+        document["tables"]["judged"] = judged({name: Path(folder) for name, folder in pairs})
+    else:
+        folder = Path(given[0])
+        document["tables"] |= {split: table(folder), f"{split}_difference": leads(folder)}
     write_atomic(RESULT, json.dumps(document, indent=2, ensure_ascii=False) + "\n")
 
 
 if __name__ == "__main__":
-    main(sys.argv[1], Path(sys.argv[2]))
+    main(*sys.argv[1:])
