@@ -21,6 +21,11 @@ _LONE = (
     "anybody, and brackets are over trainings alone."
 )
 
+_DRIFT_MM = Column("drift_mm", "Drift", "lower", 1, unit="mm")
+_DRIFT_DEG = Column("drift_deg", "Drift", "lower", 1, unit="°")
+_STEP_MM = Column("step_mm", "Step", "lower", 2, unit="mm")
+_STEP_DEG = Column("step_deg", "Step", "lower", 2, unit="°")
+
 MOTION = Track(
     name="motion",
     schema="motion-scores",
@@ -30,8 +35,8 @@ MOTION = Track(
         Column("gle", "GLE", "lower", 1, unit="mm"),
         Column("lpe", "LPE", "lower", 1, unit="mm"),
         Column("lle", "LLE", "lower", 1, unit="mm"),
-        Column("drift_mm", "Drift", "lower", 1, unit="mm"),
-        Column("drift_deg", "Drift", "lower", 1, unit="°"),
+        _DRIFT_MM,
+        _DRIFT_DEG,
     ),
     ranked_by=("gpe", "gle", "lpe", "lle"),
     anchors=_ANCHORS,
@@ -40,8 +45,8 @@ MOTION = Track(
     counted="sweeps of the test split",
     unit="patients",
     details=(
-        Column("step_mm", "Step", "lower", 2, unit="mm"),
-        Column("step_deg", "Step", "lower", 2, unit="°"),
+        _STEP_MM,
+        _STEP_DEG,
         Column("score", "Score, a sweep at a time", "higher"),
     ),
     exact=0.0,
@@ -53,10 +58,10 @@ TRACKED_MOTION = Track(
     schema="motion-scores",
     subject="motion",
     columns=(
-        Column("drift_mm", "Drift", "lower", 1, unit="mm"),
-        Column("drift_deg", "Drift", "lower", 1, unit="°"),
-        Column("step_mm", "Step", "lower", 2, unit="mm"),
-        Column("step_deg", "Step", "lower", 2, unit="°"),
+        _DRIFT_MM,
+        _DRIFT_DEG,
+        _STEP_MM,
+        _STEP_DEG,
     ),
     ranked_by=("drift_mm", "drift_deg", "step_mm", "step_deg"),
     anchors=_ANCHORS,
@@ -77,8 +82,8 @@ TURN_MOTION = Track(
     schema="motion-scores",
     subject="motion",
     columns=(
-        Column("step_deg", "Step", "lower", 2, unit="°"),
-        Column("drift_deg", "Drift", "lower", 1, unit="°"),
+        _STEP_DEG,
+        _DRIFT_DEG,
     ),
     # A probe that goes round ends near its start, whatever happened on the way: drift ranks nobody.
     ranked_by=("step_deg",),

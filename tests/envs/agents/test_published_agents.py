@@ -64,6 +64,7 @@ def test_a_published_policy_finds_most_train_patients_views(folder, seed):
         "AnyView-patients", 10, observation=agent.observation, reward="oracle", phantom=ward
     )
     final = rollout(core, agent, evaluation_seeds(10)).final
+    # A servo declares nearly always, ppo-belief in 78 to 95 % of the episodes of its rows.
     assert final["declared"].mean() >= 0.8 and final["success"].mean() >= 0.4
 
 

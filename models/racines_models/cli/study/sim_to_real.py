@@ -2,7 +2,7 @@
 
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
 
@@ -51,9 +51,10 @@ def sim_to_real(
     judges of patients. Of generators that are named: KID of what they draw of patients whom they
     never saw, beside that of the simulator's own frames of the same planes.
     """
-    names = generators or []
+    # What is not there, or cannot be compared, is told before anything is measured.
+    opened = _opened(generators or [], device)
     if (real / "manifest.json").is_file():
-        return _imported(real, names, grader, no_grader, out, device, as_json)
+        return _imported(real, opened, grader, no_grader, out, device, as_json)
     import numpy as np
 
     from racines_data.files import write_atomic, write_json
@@ -62,6 +63,7 @@ def sim_to_real(
     from racines_models.judges.grader.model import Grader
     from racines_models.judges.segmentation.model import SegmentationJudge
     from racines_models.studies.realism.patients import list_of
+    from racines_models.studies.sim_to_real.drawn import check_enough
     from racines_models.studies.sim_to_real.figures import draw
     from racines_models.studies.sim_to_real.frames import read_real_echo
     from racines_models.studies.sim_to_real.report import images_asked, measure, present
@@ -71,13 +73,15 @@ def sim_to_real(
     judge = Grader.load(at, device) if at else None
     outliner = SegmentationJudge.load(outlines, device) if outlines else None
     echo = read_real_echo(real, masks)
+    lists = np.array([list_of(each) for each in echo.frames.patient])
+    sets = {name: echo.frames.images[lists == name] for name in present(lists)}
+    if opened.trained:
+        check_enough(*map(len, sets.values()))
     total = images_asked(echo, judge is not None, outliner is not None)
     with image_counter("real frames", total, as_json) as advance:
         measured = measure(echo, judge, outliner, advance)
-    if names:
-        lists = np.array([list_of(each) for each in echo.frames.patient])
-        sets = {name: echo.frames.images[lists == name] for name in present(lists)}
-        measured.content["drawn"] = _drawn(names, sets, device, as_json)
+    if opened.trained:
+        measured.content["drawn"] = _drawn(opened, sets, device, as_json)
     endings = draw(echo, measured, outliner)
     for ending, png in endings.items():
         write_atomic(out.with_name(f"{out.name}{ending}.png"), png)
@@ -88,7 +92,7 @@ def sim_to_real(
 
 
 def _imported(
-    root: Path, names: list[str], grader: Path | None, no_grader: bool, out: Path, device: str,
+    root: Path, opened: "_Opened", grader: Path | None, no_grader: bool, out: Path, device: str,
     as_json: bool,
 ) -> None:  # fmt: skip
     """Measure a dataset, and write what came out with a sheet of what frames are called."""
@@ -99,15 +103,19 @@ def _imported(
     from racines_models.judges.grader.model import Grader
     from racines_models.judges.pose.regressor import PoseRegressor
     from racines_models.scores.features import InceptionFeatures
+    from racines_models.studies.sim_to_real.drawn import check_enough
     from racines_models.studies.sim_to_real.imported import measure_imported
     from racines_models.studies.sim_to_real.imported_sheet import sheet, told_rows
 
+    store = open_store(root)
+    if opened.trained:
+        check_enough(len(store.images))
     judge = None if no_grader else Grader.load(grader or published(PUBLISHED / "grader"), device)
     regressor = PoseRegressor.load(published(PUBLISHED / "pose"), device)
-    measured = measure_imported(open_store(root), judge, regressor, InceptionFeatures(device))
-    if names:
+    measured = measure_imported(store, judge, regressor, InceptionFeatures(device))
+    if opened.trained:
         sets = {"imported": measured.images}
-        measured.content["drawn"] = _drawn(names, sets, device, as_json)
+        measured.content["drawn"] = _drawn(opened, sets, device, as_json)
     write_atomic(out.with_suffix(".png"), sheet(measured))
     write_json(out.with_suffix(".json"), measured.content)
     table = console_table(("of the imported set", "figure"), told_rows(measured.content))
@@ -115,25 +123,43 @@ def _imported(
     tell(measured.content, as_json, *tables, f"{out}.json, {out}.png")
 
 
-def _drawn(
-    names: list[str], real: "dict[str, Tensor]", device: str, as_json: bool
-) -> dict[str, Any]:
-    """Return KID of what generators on patients draw to sets of real frames."""
-    from racines_data.progress import progress_bar
+class _Opened(NamedTuple):
+    """Generators on patients, by name."""
+
+    trained: dict[str, list[Any]]
+    """The trainings of each."""
+    weights: dict[str, dict[str, str] | None]
+    """SHA-256 of their files; None where nothing is trained."""
+
+
+def _opened(names: list[str], device: str) -> _Opened:
+    """Open generators that are named."""
+    opened = _Opened({}, {})
+    if not names:
+        return opened
     from racines_models.registry import PATIENTS, generator_class, weights_folder, weights_of
-    from racines_models.scores.features import InceptionFeatures
     from racines_models.scores.on_patients import check_named, open_for_patients
-    from racines_models.studies.sim_to_real.drawn import DrawnConfig, likeness, wanted
     from racines_models.training.published import published_seeds
 
-    trained, weights = {}, {}
-    for spec in names:  # what is not there is told before anybody is scanned
+    for spec in names:
         check_named(spec)
         folder, name = weights_folder(spec), generator_class(spec).name
         further = published_seeds(PATIENTS, folder)
-        trained[name] = open_for_patients(spec, folder, further, device)
+        opened.trained[name] = open_for_patients(spec, folder, further, device)
         there = (folder / "config.json").is_file()
-        weights[name] = weights_of(spec, folder, further) if there else None
+        opened.weights[name] = weights_of(spec, folder, further) if there else None
+    return opened
+
+
+def _drawn(
+    opened: _Opened, real: "dict[str, Tensor]", device: str, as_json: bool
+) -> dict[str, Any]:
+    """Return KID of what generators on patients draw to sets of real frames."""
+    from racines_data.progress import progress_bar
+    from racines_models.scores.features import InceptionFeatures
+    from racines_models.studies.sim_to_real.drawn import DrawnConfig, likeness, wanted
+
+    trained = opened.trained
     config, extractor = DrawnConfig(), InceptionFeatures(device)
     with progress_bar(not as_json, "patients") as bar:
         task = bar.add_task("scouts", total=config.patients)
@@ -141,7 +167,7 @@ def _drawn(
         total = len(shown.row) * sum(map(len, trained.values()))
         task = bar.add_task("images drawn", total=total)
         told = likeness(trained, shown, real, extractor, progress=lambda n: bar.advance(task, n))
-    told |= {"config": asdict(config), "weights": weights, "extractor": extractor.settings}
+    told |= {"config": asdict(config), "weights": opened.weights, "extractor": extractor.settings}
     return told
 
 

@@ -148,9 +148,7 @@ def likeness(
     Raises:
         RacinesError: too few real frames or poses, or what a generator refuses.
     """
-    count = min(len(wanted.row), *(len(frames) for frames in real.values()))
-    if count < FEWEST:
-        raise RacinesError(f"{count} frames: KID of what generators draw needs {FEWEST} or more")
+    count = check_enough(len(wanted.row), *(len(frames) for frames in real.values()))
     some = evenly(len(wanted.row), count)
     units = np.array(wanted.patients)[wanted.row[some].numpy()]
     beside = {name: extractor(frames[evenly(len(frames), count)]) for name, frames in real.items()}
@@ -168,6 +166,17 @@ def likeness(
                 progress(len(wanted.row))
         found[name] = told(drawings)
     return {"kid": found, "n": count, "patients": len(np.unique(units))}
+
+
+def check_enough(*counts: int) -> int:
+    """Return the least of some numbers of frames, for which there is a distance.
+
+    Raises:
+        RacinesError: fewer than `FEWEST`.
+    """
+    if (least := min(counts)) < FEWEST:
+        raise RacinesError(f"{least} frames: KID of what generators draw needs {FEWEST} or more")
+    return least
 
 
 def _kid(drawn: list[Tensor], real: Tensor, units: np.ndarray) -> dict[str, Any]:
