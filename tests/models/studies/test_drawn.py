@@ -98,3 +98,6 @@ def test_the_command_tells_it_of_generators_that_are_named(shown, tiny_root, tmp
     )  # it is told before anything is measured
     none = CliRunner().invoke(app, [*words[:2], "nobody", *words[3:]])
     assert none.exit_code != 0 and "nobody" in str(none.exception)
+    for name in ("drawn.onnx", "drawn.parquet"):
+        none = CliRunner().invoke(app, [*words[:2], name, *words[3:]])
+        assert f"{name}: a file cannot adapt" in str(none.exception)

@@ -137,12 +137,22 @@ def _opened(names: list[str], device: str) -> _Opened:
     opened = _Opened({}, {})
     if not names:
         return opened
-    from racines_models.registry import PATIENTS, generator_class, weights_folder, weights_of
-    from racines_models.scores.on_patients import check_named, open_for_patients
+    from racines_data.errors import RacinesError
+    from racines_models.registry import (
+        PATIENTS,
+        generator_class,
+        is_file,
+        weights_folder,
+        weights_of,
+    )
+    from racines_models.scores.on_patients import open_for_patients
     from racines_models.training.published import published_seeds
 
     for spec in names:
-        check_named(spec)
+        if is_file(spec):
+            raise RacinesError(
+                f"{spec}: a file cannot adapt to the patients that are drawn here: name a generator"
+            )
         folder, name = weights_folder(spec), generator_class(spec).name
         further = published_seeds(PATIENTS, folder)
         opened.trained[name] = open_for_patients(spec, folder, further, device)
