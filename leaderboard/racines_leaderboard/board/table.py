@@ -171,10 +171,18 @@ def _cell(record: Record, column: Column, usual_n: int) -> str:
     return text if metric["n"] == usual_n else f"{text}, n = {metric['n']:,}"
 
 
+def steady(number: float) -> float:
+    """Return a number as every processor shows it: the order of a sum moves the last bits.
+
+    A score of -1e-16 on one machine is 0 on another, and neither is -0.
+    """
+    return round(number, 9) + 0.0
+
+
 def figure_text(metric: dict[str, Any], column: Column) -> str:
     """Return a metric in the unit shown, its interval, and where that covers less, how much."""
     value, low, high = (
-        None if metric[key] is None else f"{metric[key] * column.scale:.{column.digits}f}"
+        None if metric[key] is None else f"{steady(metric[key] * column.scale):.{column.digits}f}"
         for key in ("value", "low", "high")
     )
     level = level_of(metric)

@@ -16,11 +16,14 @@ from racines_leaderboard.board.table import (
     REPORTED,
     board_csv,
     board_tables,
+    figure_text,
     plain,
     show,
+    steady,
     titled_markdown,
 )
 from racines_leaderboard.cli.command import app
+from racines_leaderboard.records.columns import Column
 from racines_leaderboard.records.schema import seal_of
 from racines_leaderboard.records.verdicts import Audited, keep_verdicts
 from racines_leaderboard.studio.boards import Selection, charts_html, names, tables_html
@@ -253,3 +256,10 @@ def test_other_weights_give_other_orders(tmp_path):
     (results / "b/board.json").unlink()
     again = json.loads(CliRunner().invoke(app, [*words, "--json"]).stdout)["generators"]
     assert again == rows, "an unpinned board takes its own anchors"
+
+
+def test_the_last_bits_of_a_sum_are_not_shown():
+    # A score at its anchor is 0 by one processor and -1e-16 by another.
+    metric = {"value": -1.02e-16, "low": -0.0004, "high": 0.0474}
+    assert figure_text(metric, Column("score", "Score", "higher")) == "0.000 (-0.000 – 0.047)"
+    assert steady(0.26313544949272627) == steady(0.26313544949272633) == 0.263135449

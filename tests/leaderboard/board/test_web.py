@@ -15,6 +15,7 @@ from racines_data.errors import RacinesError
 from racines_data.escape import json_in_html
 from racines_leaderboard.board.collect import collect
 from racines_leaderboard.board.standing import standing_of
+from racines_leaderboard.board.table import steady
 from racines_leaderboard.board.web.content import (
     ABOUT,
     compared,
@@ -129,7 +130,9 @@ def test_pairs_are_those_of_the_ranking(tmp_path: Path):
         ours, theirs = (standing_of(each.record).replicates for each in (first, second))
         assert ours is not None and theirs is not None
         told = difference(ours, theirs, "score difference")
-        assert (pair["value"], pair["low"], pair["high"]) == (told.value, told.low, told.high)
+        assert told.low is not None and told.high is not None
+        shown = [steady(figure) for figure in (told.value, told.low, told.high)]
+        assert [pair["value"], pair["low"], pair["high"]] == shown
         ahead = first.standing.ahead_of(second.standing)
         assert ahead == (f"so {first.record['name']} has the higher score" in pair["text"])
         assert compared(first, second) == told

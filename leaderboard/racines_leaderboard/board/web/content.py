@@ -10,7 +10,7 @@ from racines_data.escape import visible
 from racines_leaderboard.board.collect import boards, read_board
 from racines_leaderboard.board.rank import SCORE, Ranked, Record, by_task, rank
 from racines_leaderboard.board.standing import is_bound
-from racines_leaderboard.board.table import Table, ranked_table, shown_columns, shown_metric
+from racines_leaderboard.board.table import Table, ranked_table, shown_columns, shown_metric, steady
 from racines_leaderboard.records.columns import PERCENT, Column, Track
 from racines_leaderboard.records.tracks import board_tracks
 from racines_models.statistics.intervals import LEVEL, Interval, difference
@@ -103,8 +103,8 @@ def pairs(section: Section) -> Iterator[dict[str, Any]]:
     for (i, first), (j, second) in combinations(enumerate(section.ranking), 2):
         told = compared(first, second)
         text = sentence(first, second, told, section.track)
-        keys = () if told is None else ("value", "low", "high")
-        figures = {key: getattr(told, key) for key in keys}
+        ends = {} if told is None else {"value": told.value, "low": told.low, "high": told.high}
+        figures = {key: None if end is None else steady(end) for key, end in ends.items()}
         yield {"rows": [i, j], "text": text, **figures}
 
 

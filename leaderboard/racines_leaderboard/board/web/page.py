@@ -17,6 +17,7 @@ from racines_leaderboard.board.table import (
     place_of,
     reported_tables,
     shown_metric,
+    steady,
 )
 from racines_leaderboard.board.web.content import (
     ABOUT,
@@ -151,7 +152,7 @@ def _class(verdict: str) -> str:
 
 
 def _value(number: float | None) -> str:
-    return "" if number is None else f' data-v="{number:.6g}"'
+    return "" if number is None else f' data-v="{steady(number):.6g}"'
 
 
 def _figure(ranked: Ranked, column: Column, axis: tuple[float, float]) -> str:
