@@ -59,9 +59,7 @@ def test_an_aim_is_met_missed_or_not_measured():
 
 def test_what_the_benchmarks_measure_reaches_the_aims():
     """A line of another name would leave its aim without a figure."""
-    found = {aim.command: aim.measured is None for aim in aims.aims()}
-    assert found == {"make bench": False, "make repro": False, aims.BUILD: True}
-    assert all(aim.measured for aim in aims.aims() if aim.command == aims.BENCH)
+    assert all(aim.measured for aim in aims.aims())
 
 
 @pytest.mark.slow

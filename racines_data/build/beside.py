@@ -193,18 +193,24 @@ def _table(people: Sequence[Mapping[str, Any]]) -> pa.Table:
     return pa.Table.from_pylist(list(people), schema)
 
 
-def _summary(people: Sequence[Mapping[str, Any]], views: int) -> dict[str, Any]:
+def summary(people: Sequence[Mapping[str, Any]], views: int) -> dict[str, Any]:
     """Count patients by split: sex, pathology, and whose views are not all shown at some pose."""
     found = {}
     for split in SPLITS:
         own = [each for each in people if each["split"] == split]
+        unshown = [each for each in own if len(each["shown"]) < views]
         found[split] = {
             "patients": len(own),
             "female": sum(each["female"] for each in own),
-            "pathology": dict(sorted(Counter(each["pathology"] for each in own).items())),
-            "unshown": sum(len(each["shown"]) < views for each in own),
+            "pathology": _by_pathology(own),
+            "unshown": len(unshown),
+            "unshown_pathology": _by_pathology(unshown),
         }
     return found
+
+
+def _by_pathology(people: Sequence[Mapping[str, Any]]) -> dict[str, int]:
+    return dict(sorted(Counter(each["pathology"] for each in people).items()))
 
 
 def _record(
@@ -230,7 +236,7 @@ def _record(
         "annotation": None,
         "held_out_session": None,
         "counts": count_wholes(rows, "patients"),
-        "people": _summary(people, len(labels) - 1),
+        "people": summary(people, len(labels) - 1),
         "mask_labels": list(getattr(source, "mask_labels", ())),
         "report": {"refused_frames": 0, "flagged": 0},
         "canonical": write_canonical(final, part.tables(), f"canonical/{name}"),

@@ -24,7 +24,7 @@ def patients_section(manifest: Mapping[str, Any]) -> Iterator[str]:
     )
     yield columns_table(PATIENT_COLUMNS)
     yield from _sheets(manifest, names)
-    yield _people_table(manifest, names)
+    yield people_table(manifest, names)
     yield (
         "*Not all shown*: patients of whom some view is shown at no pose that was found, for ribs "
         "or lung lie before it. They are kept: no patient is drawn again."
@@ -50,14 +50,19 @@ def _sheets(manifest: Mapping[str, Any], names: list[str]) -> Iterator[str]:
             yield f"![{caption}]({own['sheet']})\n\n*{caption}.*"
 
 
-def _people_table(manifest: Mapping[str, Any], names: list[str]) -> str:
+def people_table(manifest: Mapping[str, Any], names: list[str]) -> str:
     """Return patients of each config and split, by sex and pathology."""
     rows = []
     for name in names:
         for split, own in manifest[name]["people"].items():
             kinds = ", ".join(f"{kind} {count}" for kind, count in own["pathology"].items())
-            told = own["patients"], own["female"], own["unshown"]
-            rows.append((name, split, *(f"{each:,}" for each in told), kinds or "–"))
+            told = own["patients"], own["female"]
+            # Datasets of before the count by pathology have the sum alone.
+            lack = ", ".join(
+                f"{kind} {count}" for kind, count in own.get("unshown_pathology", {}).items()
+            )
+            unshown = f"{own['unshown']:,}" + (f" ({lack})" if lack else "")
+            rows.append((name, split, *(f"{each:,}" for each in told), unshown, kinds or "–"))
     head = ("config", "split", "patients", "female", "not all shown", "pathology")
     return markdown_table(head, rows)
 

@@ -2,7 +2,8 @@
 
 Volumes are counted in the simulated geometry: a lattice of points in the beating heart, each asked
 where it was at end diastole and what is there. So they hold all that is drawn, papillary muscles
-and the walls' unevenness included, and not what a formula meant to do.
+and the walls' unevenness included, and not what a formula meant to do. Lengths and diameters are
+those of the structures met along a line.
 """
 
 from collections.abc import Callable
@@ -13,8 +14,10 @@ import torch
 from torch import Tensor
 
 from racines_data.patients.bake import label_box
+from racines_data.patients.form import Point
 from racines_data.patients.heart import Heart
 from racines_data.patients.labels import (
+    AORTA,
     AORTIC,
     CODES,
     LA,
@@ -31,10 +34,13 @@ from racines_data.patients.labels import (
 from racines_data.patients.motion import Dynamics, activation, to_diastole
 from racines_data.patients.placement import MIDDLE
 from racines_data.patients.volume import BOX, LOW, VOXEL, to_voxels
+from racines_data.phantom.heart import T
 
 PHASES = 10
 """Phases of the beat at which volumes are told, evenly from end diastole; end systole is added."""
 LATTICE = 2.4  # mm
+STEP = 0.1  # mm, between the points of a line
+REACH = 120.0  # mm, of a line to either side
 LEVELS = (0.0, 0.25, 0.5, 0.75, 1.0)
 """Of contraction, at which volumes are counted; between them they are interpolated."""
 PARTS = {
@@ -72,9 +78,9 @@ class Measures:
     left_atrium: float
     """From front to back at end diastole."""
     root: float
-    """Across the aortic sinuses."""
+    """Across the aortic sinuses, in the plane of the parasternal long axis."""
     right: float
-    """Across the RV's base at end diastole."""
+    """Across the RV's base, from the septum to the free wall, at end diastole."""
 
     @property
     def shortening(self) -> float:
@@ -94,20 +100,20 @@ def measure(heart: Heart) -> Measures:
         name: tuple(float(x) for x in np.interp([*levels, 1.0], LEVELS, [c[name] for c in counted]))
         for name in PARTS
     }
-    form, ends = heart.patient.form, [_at_level(box, heart, level) for level in (0.0, 1.0)]
-    first, last = ends
+    first, last = (_at_level(box, heart, level) for level in (0.0, 1.0))
+    shape = heart.shape
     return Measures(
         phases=(*phases, 0.375),
         volumes=parts,
         ejection_fraction=1.0 - parts["lv"][-1] / parts["lv"][0],
         right_ejection_fraction=1.0 - parts["rv"][-1] / parts["rv"][0],
-        lv_diameter=(first[0], last[0]),
-        lv_length=(form.length, form.length - heart.patient.motion.shortening),
-        wall=(first[1], last[1]),
-        septum=(first[2], last[2]),
-        left_atrium=2.0 * heart.shape.left_atrium.radii[1],
-        root=form.root,
-        right=form.right,
+        lv_diameter=(first.diameter, last.diameter),
+        lv_length=(first.length, last.length),
+        wall=(first.wall, last.wall),
+        septum=(first.septum, last.septum),
+        left_atrium=first.across(shape.left_atrium.centre, (0.0, 1.0, 0.0), (LA,)),
+        root=first.across(shape.aorta.path[2], _across_root(shape.aorta.path), (AORTA, AORTIC)),
+        right=first.across(shape.right.centre, (1.0, 0.0, 0.0), PARTS["rv"]),
     )
 
 
@@ -128,8 +134,37 @@ def count_volumes(label_of: LabelOf) -> dict[str, float]:
     return {name: float(sum(counts[i] for i in own)) * cell for name, own in PARTS.items()}
 
 
-def _at_level(box: Tensor, heart: Heart, level: float) -> tuple[float, float, float]:
-    return calipers(lambda points: _labels(points, box, heart.dynamics, level))
+def _at_level(box: Tensor, heart: Heart, level: float) -> "_Ruler":
+    return _Ruler(lambda points: _labels(points, box, heart.dynamics, level))
+
+
+class _Ruler:
+    """What lines through a heart measure, mm."""
+
+    def __init__(self, label_of: LabelOf) -> None:
+        self._label_of = label_of
+        self.diameter, self.wall, self.septum = calipers(label_of)
+
+    @property
+    def length(self) -> float:
+        """From annulus to apex, inside, along the LV's axis."""
+        return self.across((0.0, 0.0, 0.0), (0.0, 0.0, 1.0), PARTS["lv"])
+
+    def across(self, centre: Point, way: Point, own: tuple[int, ...]) -> float:
+        """Measure from the first to the last of a line's points that have one of the labels."""
+        out = torch.arange(-REACH, REACH, STEP, dtype=torch.float64)
+        start, along = (torch.tensor(each, dtype=torch.float64) for each in (centre, way))
+        hit = torch.isin(self._label_of(start + out.unsqueeze(1) * along), torch.tensor(own))
+        met = hit.nonzero().squeeze(1)
+        return round(STEP * float(met[-1] - met[0] + 1), 6) if len(met) else 0.0
+
+
+def _across_root(path: tuple[Point, ...]) -> Point:
+    """Return the direction across the sinuses: square to the root, in the long axis' plane."""
+    along = np.subtract(path[3], path[1])
+    across = np.cross(along, (T[0], T[1], 0.0))
+    x, y, z = across / np.linalg.norm(across)
+    return float(x), float(y), float(z)
 
 
 def _labels(points: Tensor, box: Tensor, dynamics: Dynamics, level: float) -> Tensor:

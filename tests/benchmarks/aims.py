@@ -14,7 +14,7 @@ RESULTS = FILE.with_name("results")
 NOT_MEASURED = "not measured"
 BENCH = "make bench"
 FULL = "build at full size, 144,668 frames"
-BUILD = "racines data build --profile paper --workers 2 --json"
+BUILD = "/usr/bin/time -v racines data build --profile paper --workers 2 --json"
 SB3 = "Stable-Baselines3, its DummyVecEnv"
 
 
@@ -66,8 +66,9 @@ def aims() -> list[Aim]:
             of_line(ppo, "ratio", SB3)),
         Aim("the default profile, with set-up and patients", 10, "minutes", "make repro",
             of_result("pipeline", "default_minutes"), most=True),
-        Aim(FULL, 6, "minutes", BUILD, None, most=True),
-        Aim(f"{FULL}: memory", 1, "GB", BUILD, None, most=True),
+        Aim(FULL, 6, "minutes", BUILD, of_result("full-size", "minutes"), most=True),
+        Aim(f"{FULL}: memory of a process", 1, "GB", BUILD, of_result("full-size", "gigabytes"),
+            most=True),
         Aim("all lines beside peers", 10, "minutes", BENCH,
             of_result("bench", "seconds") / 60, most=True),
     ]  # fmt: skip

@@ -51,6 +51,12 @@ NORMS: dict[str, dict[str, tuple[float, float]]] = {
     "root": {"women": (30.0, 3.0), "men": (34.0, 3.0)},
 }
 """Mean and SD of healthy adults by echocardiography (Lang et al., JASE 2015; 28: 1-39)."""
+RANGES: dict[str, dict[str, tuple[float, float]]] = {
+    "septum_ed": {"women": (6.0, 9.0), "men": (6.0, 10.0)},
+    "wall_ed": {"women": (6.0, 9.0), "men": (6.0, 10.0)},
+    "left_atrium": {"women": (27.0, 38.0), "men": (30.0, 40.0)},
+}
+"""Normal ranges, where the same source tells no mean."""
 
 
 def survey(
@@ -60,8 +66,8 @@ def survey(
 
     Returns:
         As `content`: `patients`, a mapping each with `patient`, `pathology`, `sex` and measures;
-        `groups`: of healthy women and men, and of each pathology, `n` and by measure mean, SD and
-        range; `norms`.
+        `groups`: of healthy women and men, of each pathology, and of its women and men, `n` and by
+        measure mean, SD and range; `norms`, and `ranges` where only they are known.
 
     Raises:
         RacinesError: an unknown split, or more patients than it has.
@@ -83,6 +89,7 @@ def survey(
         "code": code_version(),
         "units": UNITS,
         "norms": NORMS,
+        "ranges": RANGES,
         "groups": groups_of(rows),
         "patients": rows,
     }
@@ -112,7 +119,9 @@ def groups_of(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     groups = {
         sex: [r for r in rows if r["pathology"] == healthy and r["sex"] == sex] for sex in SEXES
     }
-    groups |= {name: [row for row in rows if row["pathology"] == name] for name in PATHOLOGIES[1:]}
+    for name in PATHOLOGIES[1:]:
+        groups[name] = [row for row in rows if row["pathology"] == name]
+        groups |= {f"{name}, {sex}": [r for r in groups[name] if r["sex"] == sex] for sex in SEXES}
     return {
         name: {"n": len(group)} | {each: _described([row[each] for row in group]) for each in UNITS}
         for name, group in groups.items()
@@ -130,15 +139,16 @@ Table = tuple[tuple[str, ...], list[tuple[str, ...]]]
 
 
 def tables_of(content: Mapping[str, Any]) -> list[Table]:
-    """Return head and rows of a report's tables: healthy people beside norms, and pathologies."""
+    """Return head and rows of a report's tables: the healthy and norms, pathologies, and by sex."""
     groups = content["groups"]
-    healthy = [name for name in groups if name in SEXES]
-    others = [name for name in groups if name not in SEXES]
-    return [_table_of(content, names) for names in (healthy, others) if names]
+    healthy, others = SEXES, PATHOLOGIES[1:]
+    by_sex = [[f"{name}, {sex}" for name in others] for sex in SEXES]
+    kinds = [[name for name in names if name in groups] for names in (healthy, others, *by_sex)]
+    return [_table_of(content, names) for names in kinds if names]
 
 
 def _table_of(content: Mapping[str, Any], names: Sequence[str]) -> Table:
-    groups, norms = {name: content["groups"][name] for name in names}, content["norms"]
+    groups = {name: content["groups"][name] for name in names}
     head, rows = ["measure"], []
     for name, group in groups.items():
         head.append(f"{name}, n = {group['n']}")
@@ -151,10 +161,16 @@ def _table_of(content: Mapping[str, Any], names: Sequence[str]) -> Table:
             told = _told(each["mean"], each["sd"])
             cells.append(f"{told}\n{each['low']:.0f} to {each['high']:.0f}")
             if name in SEXES:
-                norm = norms.get(measure_name, {}).get(name)
-                cells.append(_told(*norm) if norm else "–")
+                cells.append(_norm(content, measure_name, name))
         rows.append(tuple(cells))
     return tuple(head), rows
+
+
+def _norm(content: Mapping[str, Any], measure_name: str, sex: str) -> str:
+    if norm := content["norms"].get(measure_name, {}).get(sex):
+        return _told(*norm)
+    known = content.get("ranges", {}).get(measure_name, {}).get(sex)
+    return f"{known[0]:.0f} to {known[1]:.0f}" if known else "–"
 
 
 def _told(mean: float, deviation: float | None) -> str:
@@ -163,7 +179,9 @@ def _told(mean: float, deviation: float | None) -> str:
 
 def draw(content: Mapping[str, Any]) -> bytes:
     """Return a PNG: each patient by group, on what healthy women and men measure, mean ± 2 SD."""
-    groups, rows = content["groups"], content["patients"]
+    rows = content["patients"]
+    shown = (*SEXES, *PATHOLOGIES[1:])
+    groups = {name: group for name, group in content["groups"].items() if name in shown}
     with card_style():
         figure = Figure(figsize=(12.0, 5.6), layout="constrained")
         for axes, (name, norms) in zip(figure.subplots(2, 4).flat, NORMS.items(), strict=True):

@@ -6,7 +6,15 @@ from typer.testing import CliRunner
 from racines_data.errors import RacinesError
 from racines_data.patients import PATIENTS_VERSION, draw_patient
 from racines_leaderboard.cli.command import app
-from racines_models.studies.population import NORMS, SEXES, TITLES, UNITS, groups_of, tables_of
+from racines_models.studies.population import (
+    NORMS,
+    RANGES,
+    SEXES,
+    TITLES,
+    UNITS,
+    groups_of,
+    tables_of,
+)
 from racines_models.studies.real_heart.measures import UNITS as REAL
 from racines_models.studies.real_heart.report import read_population
 
@@ -34,6 +42,10 @@ def test_patients_are_measured_in_what_is_drawn(told):
         assert set(UNITS) <= set(row)
         assert row["lv_ef"] == pytest.approx(100 * (1 - row["lv_esv"] / row["lv_edv"]), abs=0.01)
         assert row["lv_diameter_ed"] == pytest.approx(patient.form.ventricle, abs=4.5)
+        # Measured in voxels 1.3 mm apart: near the numbers that drew them, not those.
+        assert row["lv_length_ed"] == pytest.approx(patient.form.length, abs=1.5)
+        assert row["lv_shortening"] == pytest.approx(patient.motion.shortening, abs=0.5)
+        assert row["root"] == pytest.approx(patient.form.root, abs=1.5)
         assert row["lv_diameter_es"] < row["lv_diameter_ed"] and row["la_volume"] > 10.0
         assert 0.0 < row["wall_thickening"] < 120.0
 
@@ -50,14 +62,17 @@ def test_groups_are_of_the_healthy_by_sex_and_of_each_pathology():
 
     rows = [row("women", "healthy", 1.0), row("women", "healthy", 3.0), row("men", "dilated", 9.0)]
     groups = groups_of(rows)
-    assert [*groups] == ["women", "dilated"]
+    assert [*groups] == ["women", "dilated", "dilated, men"]
     assert groups["women"]["n"] == 2 and groups["women"]["lv_edv"]["mean"] == 2.0
     assert groups["women"]["lv_edv"]["sd"] == pytest.approx(2**0.5)
     assert groups["dilated"]["lv_edv"] == {"mean": 9.0, "sd": None, "low": 9.0, "high": 9.0}
-    (head, healthy), others = tables_of({"groups": groups, "norms": NORMS, "units": UNITS})
+    content = {"groups": groups, "norms": NORMS, "ranges": RANGES, "units": UNITS}
+    (head, healthy), others, men = tables_of(content)
     assert head == ("measure", "women, n = 2", "women, norm")
     assert healthy[0] == ("LV across, end diastole, mm", "2.0 ± 1.4\n1 to 3", "45.0 ± 3.6")
+    assert ("septum, mm", "2.0 ± 1.4\n1 to 3", "6 to 9") in healthy
     assert others[0] == ("measure", "dilated, n = 1") and others[1][0][1] == "9.0\n9 to 9"
+    assert men[0] == ("measure", "dilated, men, n = 1") and men[1] == others[1]
     assert set(TITLES) == set(UNITS)
     assert all(set(norm) == set(SEXES) for norm in NORMS.values()) and set(NORMS) <= set(UNITS)
 
