@@ -20,8 +20,9 @@ from racines_data.patients.measures import (
     count_volumes,
     labels_at,
 )
+from racines_data.patients.memory import MEMORY
 from racines_data.patients.patient import Patient
-from racines_data.patients.pool import MEMORY, Pool
+from racines_data.patients.pool import Pool
 from racines_data.phantom.saved import provenance_of
 
 
@@ -34,7 +35,7 @@ class OwnPool(Pool):
         seeds: Sequence[int | Patient],
         device: torch.device | str = "cpu",
         beating: bool = False,
-        memory: int = MEMORY,
+        memory: int | None = MEMORY,
     ):
         """Lay the heart in the patients' chests.
 
@@ -89,7 +90,7 @@ def make_pool(
     seeds: Sequence[int | Patient],
     device: torch.device | str = "cpu",
     beating: bool = False,
-    memory: int = MEMORY,
+    memory: int | None = MEMORY,
     phantom: str = "",
 ) -> Pool:
     """Return a pool of patients with their own hearts, or all with that of a phantom.

@@ -14,7 +14,6 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from racines_data.errors import RacinesError
 from racines_data.geometry import Pose, rotate
 from racines_data.patients import oracle
 from racines_data.patients.bake import baked, recipe
@@ -22,6 +21,7 @@ from racines_data.patients.chest import Chest, breathing, cover, obstacles, shad
 from racines_data.patients.heart import LEVELS, Heart, make_heart, nominal_targets
 from racines_data.patients.labels import CODES, shown
 from racines_data.patients.measures import Measures, measure
+from racines_data.patients.memory import MEMORY, available_memory, check_memory
 from racines_data.patients.motion import (
     Dynamics,
     activation,
@@ -52,14 +52,12 @@ from racines_data.patients.sampling import (
     place_samples,
 )
 from racines_data.patients.settings import PROBE, Settings
-from racines_data.patients.volume import HEART_BYTES, HEART_SIZE
+from racines_data.patients.volume import HEART_SIZE
 from racines_data.phantom import truth
 from racines_data.phantom.config import ContactConfig
 from racines_data.views import LABELS, VIEWS
 from racines_data.world import Truth, Workspace
 
-MEMORY = 2_000_000_000
-"""Bytes that a pool's voxels may take by default: 100 hearts."""
 CHUNK = {"cpu": 16, "cuda": 1024}
 """Rows rendered at once by device type, else 64: sixteen fit the caches of a CPU, and on
 a GPU the launches of kernels bound a smaller batch."""
@@ -73,7 +71,7 @@ class Pool:
         seeds: Sequence[int | Patient],
         device: torch.device | str = "cpu",
         beating: bool = False,
-        memory: int = MEMORY,
+        memory: int | None = MEMORY,
     ):
         """Bake patients, or fetch them from the cache.
 
@@ -83,7 +81,8 @@ class Pool:
             device: where voxels lie and rows are drawn.
             beating: whether nominal poses have to be good over the whole beat; the phase that is
                 given with a row moves its heart in any case.
-            memory: bytes that the voxels may take.
+            memory: bytes that the voxels may take, where the machine has them; None: no picture is
+                asked for, so that none are held.
 
         Raises:
             RacinesError: no seeds, a seed of no split, or more hearts than fit, before any is
@@ -94,8 +93,8 @@ class Pool:
         )
         self.seeds = tuple(patient.seed for patient in self.patients)
         self._baked = {self._recipe(patient): patient for patient in self.patients}
-        check_memory(len(self._baked), memory)
-        self.device = torch.device(device)
+        self.device, self._memory = torch.device(device), memory
+        self._check_memory(None if memory is None else available_memory(self.device))
         self.beating = beating
         self.views, self.labels = VIEWS, LABELS
         self.shown: tuple[str, ...] = VIEWS
@@ -112,11 +111,15 @@ class Pool:
     @cached_property
     def _voxels(self) -> Tensor:
         """All hearts' voxels, baked when they are first looked at: who asks for poses waits not."""
+        self._check_memory(available_memory(self.device))
         whole = len(self._baked) * HEART_SIZE
         voxels = torch.empty(whole, dtype=torch.int64, device=self.device)
         for row, patient in enumerate(self._baked.values()):
             voxels[row * HEART_SIZE : (row + 1) * HEART_SIZE] = self._bake(patient).to(self.device)
         return voxels
+
+    def _check_memory(self, free: int | None) -> None:
+        check_memory(len(self._baked), self._memory, free)
 
     # What hearts are, how they are baked and how they move; a pool of others says so for itself.
 
@@ -338,19 +341,3 @@ class Pool:
 
 def _double(pose: Pose) -> Pose:
     return Pose(*(each.double() for each in pose))
-
-
-def check_memory(count: int, memory: int = MEMORY) -> None:
-    """Refuse a pool that is empty or larger than memory, before anything is baked.
-
-    Raises:
-        RacinesError: with the number of hearts that fit.
-    """
-    if not count:
-        raise RacinesError("a pool needs patients: give at least one seed")
-    if count * HEART_BYTES > memory:
-        fit = memory // HEART_BYTES
-        raise RacinesError(
-            f"{count} hearts take {count * HEART_BYTES / 1e9:.1f} GB and memory is "
-            f"{memory / 1e9:.1f} GB: {fit} fit; take fewer seeds, or raise memory"
-        )

@@ -18,7 +18,7 @@ TITLES = {
     "sb3": "Stable-Baselines3",
     "rllib": "RLlib",
     "tianshou": "Tianshou",
-    "cleanrl": "Gymnasium",
+    "cleanrl": "a CleanRL-style loop, Gymnasium",
     "torchrl": "TorchRL",
 }
 

@@ -189,7 +189,7 @@ def choose_poses(config: BlindConfig, label: int) -> tuple[Pose, dict[str, float
 def coverage(config: BlindConfig, label: int) -> tuple[Pose, Tensor]:
     """Return (W,) poses, and (K, W) bool: to which train patients they show the view."""
     # No image is drawn, so no voxels are ever held.
-    ward = make_ward(config.tier, "train", config.patients, config.device, memory=1 << 50)
+    ward = make_ward(config.tier, "train", config.patients, config.device, memory=None)
     every = torch.arange(config.patients, device=ward.pool.device)
     own = Pose(*(part[:, label] for part in ward.pool.targets(every)))
     poses = _joined(own, middles(torch.tensor([label], device=every.device)))

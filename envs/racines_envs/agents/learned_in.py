@@ -3,7 +3,7 @@
 from typing import TYPE_CHECKING
 
 from racines_data.errors import RacinesError
-from racines_data.patients.pool import MEMORY
+from racines_data.patients.memory import MEMORY
 from racines_data.terminal import note
 from racines_data.world import World
 from racines_envs.task.names import HEART_TIER
@@ -29,7 +29,7 @@ def worlds(config: "TrainingConfig", phantom: WorldLike) -> tuple[World, World]:
         world = make_phantom(phantom, config.device, task.anatomy)
         return world, world
     # Who is shown the pose alone holds no voxels.
-    memory = MEMORY if config.observation != "params" else 1 << 50
+    memory = MEMORY if config.observation != "params" else None
     counts = {"train": config.patients, "validation": max(1, config.patients // 2)}
     train, validation = (
         make_ward(task.tier, split, count, config.device, memory) for split, count in counts.items()

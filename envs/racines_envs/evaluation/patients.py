@@ -18,8 +18,8 @@ from racines_data.engines import Engine
 from racines_data.engines.local import LocalEngine
 from racines_data.errors import RacinesError
 from racines_data.own.heart import heart_provenance
+from racines_data.patients.memory import check_memory
 from racines_data.patients.patient import PATHOLOGIES
-from racines_data.patients.pool import check_memory
 from racines_data.patients.population import draw_patient
 from racines_envs.agents import learns, load_agent
 from racines_envs.agents.protocol import FILES, Agent

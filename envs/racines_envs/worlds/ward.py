@@ -10,7 +10,7 @@ of breath bring a rib before any window.
 """
 
 from collections.abc import Sequence
-from functools import lru_cache
+from functools import lru_cache, partial
 
 import torch
 from torch import Tensor
@@ -18,7 +18,8 @@ from torch import Tensor
 from racines_data.errors import RacinesError
 from racines_data.geometry import Pose
 from racines_data.own.pool import make_pool
-from racines_data.patients.pool import MEMORY, Pool, check_memory
+from racines_data.patients.memory import MEMORY, PoolTooLarge
+from racines_data.patients.pool import Pool
 from racines_data.patients.splits import check_split, seeds_of
 from racines_data.phantom.model import VECTORS
 from racines_data.randomness import uniform
@@ -158,7 +159,7 @@ def make_ward(
     split: str = "train",
     patients: int | Sequence[int] | None = None,
     device: torch.device | str = "cpu",
-    memory: int = MEMORY,
+    memory: int | None = MEMORY,
     phantom: str = "",
 ) -> Ward:
     """Return a ward of patients, which is made once.
@@ -168,7 +169,7 @@ def make_ward(
         split: `train`, `validation` or `test`.
         patients: So many of the split, its first, or their seeds; `PATIENTS` by default.
         device: Where their voxels lie.
-        memory: Bytes that the voxels may take.
+        memory: Bytes that the voxels may take; None: nobody looks at them.
         phantom: Folder or name of a heart of one's own that all of them have in place of theirs.
 
     Raises:
@@ -178,8 +179,12 @@ def make_ward(
     if tier == HEART_TIER:
         raise RacinesError("the one heart has no patients: use tier 'patients' or 'beating'")
     seeds = choose_patients(split, PATIENTS if patients is None else patients)
-    check_memory(len(seeds), memory)
-    return Ward(_pool(seeds, str(device), tier == BEATING, memory, phantom))
+    pool = partial(_pool, seeds, str(device), tier == BEATING, memory, phantom)
+    try:
+        return Ward(pool())
+    except PoolTooLarge:
+        _pool.cache_clear()  # what is kept for whoever comes again gives way
+        return Ward(pool())
 
 
 def choose_patients(split: str, patients: int | Sequence[int]) -> tuple[int, ...]:
@@ -198,5 +203,7 @@ def choose_patients(split: str, patients: int | Sequence[int]) -> tuple[int, ...
 
 
 @lru_cache(maxsize=2)
-def _pool(seeds: tuple[int, ...], device: str, beating: bool, memory: int, phantom: str) -> Pool:
+def _pool(
+    seeds: tuple[int, ...], device: str, beating: bool, memory: int | None, phantom: str
+) -> Pool:
     return make_pool(seeds, device, beating, memory, phantom)

@@ -14,7 +14,7 @@ from torch import Tensor, nn
 from torch.nn.functional import cross_entropy, smooth_l1_loss
 
 from racines_data.errors import RacinesError
-from racines_data.patients.pool import MEMORY
+from racines_data.patients.memory import MEMORY
 from racines_data.patients.splits import seeds_of
 from racines_data.world import World
 from racines_envs.agents.belief.sight import Episodes, Sight
