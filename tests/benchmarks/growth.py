@@ -1,11 +1,11 @@
-"""How cost grows with size: build, load, score, evaluate, audit and the leaderboard.
+"""How cost grows with size: build, load, draw, score, evaluate, audit and the leaderboard.
 
 OMP_NUM_THREADS=1 python -m tests.benchmarks.growth docs/results/growth.json [PART...]
 
 CPU seconds of one thread, so that other work on the machine counts little. To the times t of sizes
 n is fitted t = a + b nᵏ: a is what a run costs at any size, k the exponent. The largest memory of
-the process is told beside; it never falls, so a part that holds more and more shows. Some ten
-minutes; the parts that are named are measured, the others kept.
+the process is told beside; it never falls, so a part that holds more and more shows. A
+quarter of an hour; the parts that are named are measured, the others kept.
 """
 
 import copy
@@ -28,6 +28,8 @@ from scipy.optimize import curve_fit
 import racines_data
 from racines_data.build.dataset import DataConfig, build, make_source
 from racines_data.files import write_json
+from racines_data.geometry import Pose
+from racines_data.patients import Pool, seeds_of
 from racines_data.store.frames import FrameStore, open_store
 from racines_envs.evaluation.run import EvaluationConfig, evaluate
 from racines_leaderboard.audit.bench import Bench, Places
@@ -47,6 +49,7 @@ from tests.conftest import ROOT
 
 BOARD, LIKE = "phantom-default", "ppo"
 RECORDS = (10, 100, 1_000, 10_000)
+FRAMES = 256  # drawn of each pool of hearts
 ROUNDS, ENOUGH = 5, 30.0
 """Runs of a size, and CPU seconds after which no further one is begun."""
 Part = Callable[[Path], Iterator[tuple[int, Callable[[], object]]]]
@@ -69,6 +72,18 @@ def of_load(folder: Path) -> Iterator[tuple[int, Callable[[], object]]]:
     for frames in (3_600, 4_800, 7_200, 9_600):
         out = built(folder, frames)
         yield frames, lambda out=out: every_batch(open_store(out))
+
+
+def of_pool(folder: Path) -> Iterator[tuple[int, Callable[[], object]]]:
+    """Hearts of a pool, of which as many frames are drawn however many there are."""
+    each = torch.arange(FRAMES)
+    phase = torch.stack([each / FRAMES, each / FRAMES], 1).double()
+    for hearts in (4, 16, 64):
+        pool, rows = Pool(seeds_of("validation")[:hearts], beating=True), each % hearts
+        every = pool.targets(rows, phase)
+        pose = Pose(*(part[each, each % 5] for part in every))
+        pool.render(pose, rows, phase, each)  # hearts are baked, or read, before the clock runs
+        yield hearts, lambda pool=pool, pose=pose, rows=rows: pool.render(pose, rows, phase, each)
 
 
 def of_score(folder: Path) -> Iterator[tuple[int, Callable[[], object]]]:
@@ -122,6 +137,7 @@ def of_rank(folder: Path) -> Iterator[tuple[int, Callable[[], object]]]:
 PARTS: dict[str, Part] = {
     "build, frames": of_build,
     "load, frames": of_load,
+    "pool, hearts": of_pool,
     "score, frames": of_score,
     "score by pairs, frames": of_pairs,
     "evaluate, episodes": of_evaluate,
