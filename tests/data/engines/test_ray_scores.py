@@ -28,12 +28,10 @@ from racines_models.judges.segmentation.model import (
     SegmentationJudge,
     SegmentationNetwork,
 )
-from racines_models.protocol import Run
 from racines_models.provenance import same_result
 from racines_models.scores import scoring
 from racines_models.scores.on_patients import Judges, PatientScoresConfig, score_on_patients
 from racines_models.scores.scoring import ScoresConfig, score
-from racines_models.training.sets import train_seeds
 from tests.conftest import ROOT
 from tests.data.build.test_build import files
 from tests.data.engines.tasks import DyingAgent
@@ -140,29 +138,6 @@ def test_a_command_takes_no_device_that_workers_have_not():
         spread("ray", None, "cuda")
 
 
-def trained(folder: Path, engine: RayEngine | None) -> dict[str, bytes]:
-    config = PPOConfig(frames=512, update_every=256, envs=8, epochs=1, validation_starts=4)
-
-    def fit(one: Run) -> dict[str, Any]:
-        where = {"phantom": FakePhantom(), "progress": False}
-        PPOAgent.train(config, one.folder, seed=one.seed, resume=one.resume, **where)
-        return json.loads((one.folder / "metrics.json").read_text())
-
-    train_seeds(fit, Run(folder, 3), 2, engine)
-    return {
-        str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*.safetensors")
-    }
-
-
-@pytest.mark.thorough
-def test_trainings_are_equal(engine: RayEngine, tmp_path: Path):
-    here, there = trained(tmp_path / "here", None), trained(tmp_path / "ray", engine)
-    assert set(here) == {"policy.safetensors", "seed-4/policy.safetensors"} and here == there
-    seeds = json.loads((tmp_path / "ray" / "metrics.json").read_text())["seeds"]
-    assert list(seeds) == ["3", "4"]
-
-
-@pytest.mark.thorough
 def test_experience_is_equal(engine: RayEngine, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     turns: list[int] = []
     given = engine.map
@@ -173,7 +148,7 @@ def test_experience_is_equal(engine: RayEngine, tmp_path: Path, monkeypatch: pyt
 
     monkeypatch.setattr(engine, "map", counted)
     config = PPOConfig(
-        frames=512, update_every=256, envs=8, epochs=1, validation_starts=4, collectors=2
+        frames=32, update_every=16, envs=4, epochs=1, validation_starts=1, collectors=2
     )
     for name, by in {"here": None, "ray": engine}.items():
         where = {"phantom": FakePhantom(), "progress": False, "engine": by}

@@ -12,6 +12,7 @@ from racines_data.engines.ray import RayEngine
 from racines_data.errors import RacinesError
 from racines_models.protocol import Run
 from racines_models.training.sets import FINISHED, Training, train_set
+from tests.envs.fakes import FakePhantom
 
 
 def work(folder: Path, task: str) -> tuple[str, int, str]:
@@ -60,23 +61,36 @@ def test_what_kills_every_worker_does_not_go_on_for_ever(
         made(engine, tmp_path, "deadly")
 
 
+def learn(run: Run) -> dict[str, Any]:
+    """Train a policy."""
+    from racines_envs.agents.ppo import PPOAgent, PPOConfig
+
+    config = PPOConfig(frames=16, update_every=16, envs=4, epochs=1, validation_starts=1)
+    where = {"phantom": FakePhantom(), "resume": run.resume, "progress": False}
+    PPOAgent.train(config, run.folder, seed=run.seed, **where)
+    return {"policy": (run.folder / "policy.safetensors").read_bytes().hex()}
+
+
 def fit(run: Run) -> dict[str, Any]:
-    """Go on from what is there; die at the first step of seed 4."""
+    """Go on from what is there; die at the first step of seed 4; learn in folder a alone."""
     run.folder.mkdir(parents=True, exist_ok=True)
-    begun = run.folder / "checkpoint"
+    begun = run.folder / "begun"
     if run.seed == 4 and not begun.exists():
         begun.touch()
         os._exit(1)
-    return {"resumed": begun.exists(), "seed": run.seed, "process": os.getpid()}
+    told = {"resumed": begun.exists(), "seed": run.seed, "process": os.getpid()}
+    return told | (learn(run) if "a" in run.folder.parts else {})
 
 
-def test_a_set_goes_on_from_the_checkpoint_of_a_worker_that_died(
+def test_a_set_gives_the_same_policies_though_a_worker_died(
     engine: RayEngine, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ):
-    trainings = [Training(fit, Run(tmp_path / name, 3), 2) for name in "ab"]
-    metrics = train_set(trainings, engine)
-    assert [[(m["seed"], m["resumed"]) for m in own["seeds"].values()] for own in metrics] == [
-        [(3, False), (4, True)]
-    ] * 2
+    two, one = Training(fit, Run(tmp_path / "a", 3), 2), Training(fit, Run(tmp_path / "b", 3), 1)
+    both, alone = train_set([two, one], engine)
+    learned = both["seeds"].values()
+    told = [(m["seed"], m["resumed"]) for m in (*learned, alone)]
+    assert told == [(3, False), (4, True), (3, False)]
     assert not [*tmp_path.rglob(FINISHED)]
     assert "racines: a worker died: its training goes on elsewhere" in capfd.readouterr().err
+    here = [learn(run) for run in Training(learn, Run(tmp_path / "here", 3), 2).runs]
+    assert [each["policy"] for each in learned] == [each["policy"] for each in here]
