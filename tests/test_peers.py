@@ -9,7 +9,7 @@ import torch
 from racines_data.phantom import shared_phantom
 from racines_data.randomness import sample_seeds
 from racines_models.scores.metrics import frechet_distance
-from tests.benchmarks import aims, lines
+from tests.benchmarks import aims, limits, lines, test_steps, tried
 from tests.benchmarks.lines import Line, line_of
 from tests.benchmarks.peers.convolution import Convolution
 from tests.benchmarks.peers.rays import Rays
@@ -81,3 +81,51 @@ def test_the_distances_of_the_peers_are_ours():
     ours = frechet_distance(one, other)
     assert usual(one, other) == pytest.approx(ours, rel=1e-6)
     assert metrics(one, other) == pytest.approx(ours, rel=1e-6)
+
+
+def test_rows_of_patients_are_held_to_single_environments(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(test_steps, "ENVS", 2)
+    settings = {"observation": "params", "reward": "oracle", "split": "validation", "patients": 1}
+    rows = test_steps.rows_of("SC-patients-v0", **settings)
+    test_steps.assert_rows_are_single(rows, "SC-patients-v0", **settings)
+    with pytest.raises(AssertionError):
+        test_steps.assert_rows_are_single(rows, "PL-patients-v0", **settings)
+
+
+def test_what_operations_move_and_compute_is_counted():
+    left, right = torch.ones(4, 6), torch.ones(6, 5)
+    table, places = torch.arange(1_000), torch.tensor([3, 5])
+    product = limits.counted(lambda: (left @ right).view(-1))
+    assert product == {"operations": 1, "bytes": 4 * (24 + 30 + 20), "flops": 2 * 4 * 6 * 5}
+    gathered = limits.counted(lambda: table.index_select(0, places))
+    assert gathered == {"operations": 1, "bytes": 8 * (2 + 2 + 2), "flops": 0}
+    shifted = limits.counted(lambda: left.add_(right[:, :1].expand(6, 6)[:4], alpha=0.5))
+    assert shifted == {"operations": 1, "bytes": 4 * (24 + 4 + 24), "flops": 2 * 24}
+
+
+@pytest.mark.slow
+def test_the_limits_and_what_was_tried_are_told():
+    small = limits.Size(copied=1 << 20, read=1 << 12, product=32, rows=2, hearts=1, rounds=1)
+    told = limits.document(small, "limits.json")
+    works = told["measured"]["works"].values()
+    assert all(len(work["longest"]) == 5 and work["operations"] > 50 for work in works)
+    assert [work["voxels"] > 0 for work in works] == [True, True, False, False]
+    assert [work["flops"] > 0 for work in works] == [True, True, True, False]
+    assert [len(told["tables"][name]["rows"]) for name in ("machine", "limits", "longest")] == [
+        5, 4, 4,
+    ]  # fmt: skip
+    few = tried.Size(rows=2, hearts=1, rounds=1, chunks=(1, 2), patience=0)
+    ways = tried.document(few, "tried.json")
+    assert len(ways["tables"]["tried"]["rows"]) == 7 + 5
+    for world in ways["measured"].values():
+        apart = {name: way["apart"] for name, way in world.items() if name != tried.TODAY}
+        assert apart["1 at a time"] == apart["2 at a time"] == 0 and max(apart.values()) <= 8
+
+
+def test_a_way_pays_where_it_is_quicker_in_every_round_and_draws_the_same():
+    told = {"ratio": 1.2, "low": 1.1, "high": 1.3, "apart": 1}
+    assert tried.verdict(told, 1) == "pays"
+    assert tried.verdict(told, 0) == "quicker, but other pictures"
+    assert tried.verdict(told | {"prepared_seconds": 20.1}, 1) == "pays, after 20 s"
+    assert tried.verdict(told | {"low": 0.9}, 1) == "does not pay"
+    assert tried.verdict({"failed": "not compiled within 60 s"}, 1) == "not compiled within 60 s"

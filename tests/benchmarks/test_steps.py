@@ -6,14 +6,19 @@ same actions from the same seeds in turns, a round each, and every observation, 
 to be equal. Only the steps are timed; a ratio is the median of the rounds, the first left out.
 
 With a grader in the loop observations and flags are equal, rewards to a grade's rounding: a
-convolution may round differently in other batches. The student is untrained, of the default
-configuration, since weights do not change its speed.
+convolution may round differently in other batches. The single environments of one process share a
+grader, each process of its own loads one. The student is untrained, of the default configuration,
+since weights do not change its speed.
+
+Patients stand beside the one heart, ours beside ours. That each row of theirs is the single
+environment of its seed, bit by bit, is asserted before they are timed.
 """
 
 import statistics
 import time
 from collections.abc import Callable
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import gymnasium
@@ -27,19 +32,22 @@ from racines_envs.task.actions import ACTIONS
 from racines_envs.worlds.backends import make_grader
 from racines_models.judges.student.model import Student, StudentConfig
 from tests.benchmarks.lines import line_of
-from tests.benchmarks.turns import Times, in_turns
+from tests.benchmarks.turns import in_turns
 from tests.conftest import ROOT
 
 ENVS = 64
 ROUNDS = 5
-TASK = "racines_envs:racines/SC-v0"
+TASK = "racines_envs:racines/{}"
 STEPS = {"image": 5, "params": 12}
 TARGETS = {"image": {"sync": 3.0, "async": 2.0}, "params": {"sync": 30.0, "async": 10.0}}
 PEERS = {"sync": "SyncVectorEnv", "async": "AsyncVectorEnv, a process each"}
 NAMES = {"student": "student", "resnet18": "ResNet-18"}
 EVERY = "every observation, reward and flag"
+ROWS = "actions; rows give every observation, reward and flag of single environments"
+GRADES = "observations, flags; rewards within a grade's rounding"
 HEART = "the one heart"
 TIERS = {HEART: "SC-v0", "patients": "SC-patients-v0", "beating hearts": "SC-beating-v0"}
+BESIDE = ("patients", "beating hearts")
 GRADED = {"student": 500.0, "resnet18": 150.0}
 """Least steps a second with a grader, on two cores."""
 
@@ -48,7 +56,7 @@ GRADED = {"student": 500.0, "resnet18": 150.0}
 @pytest.mark.slow
 @pytest.mark.parametrize("observation", TARGETS)
 def test_64_rows_in_one_core(benchmark, line, observation: str) -> None:
-    envs = make_sides(observation)
+    envs = make_sides(observation=observation, reward="oracle")
     seconds: dict[str, list[float]] = {name: [] for name in envs}
     try:
         for turn in range(ROUNDS + 1):
@@ -78,10 +86,11 @@ def test_64_rows_in_one_core(benchmark, line, observation: str) -> None:
 def test_patients_beside_one_heart(benchmark, line, observation: str) -> None:
     """What hearts that nobody trained on cost, still and beating: ours against ours."""
     settings = {"observation": observation, "reward": "oracle"}
-    sides = {name: gymnasium.make_vec(f"racines_envs:racines/{task}", num_envs=ENVS, **settings)
-             for name, task in TIERS.items()}  # fmt: skip
+    sides = {name: rows_of(task, **settings) for name, task in TIERS.items()}
     steps = 4 * STEPS[observation]
     try:
+        for name in BESIDE:
+            assert_rows_are_single(sides[name], TIERS[name], **settings)
         times = in_turns(
             {name: partial(play, env, steps, 0) for name, env in sides.items()}, ROUNDS
         )
@@ -90,56 +99,78 @@ def test_patients_beside_one_heart(benchmark, line, observation: str) -> None:
         for env in sides.values():
             env.close()
     work = f"steps of 64 environments, {observation}, {{}}"
-    for name in ("patients", "beating hearts"):
-        told = line_of(
-            work.format(name), "steps/s", steps * ENVS, times, HEART, "actions", ours=name
-        )
-        line(told)
+    for name in BESIDE:
+        line(line_of(work.format(name), "steps/s", steps * ENVS, times, HEART, ROWS, ours=name))
 
 
-@pytest.mark.timeout(300)
+@pytest.mark.timeout(900)
 @pytest.mark.slow
 @pytest.mark.parametrize("name", GRADED)
-def test_64_rows_with_a_grader(benchmark, line, name: str) -> None:
-    """The peer is a `SyncVectorEnv` whose single environments share the grader."""
-    grader = untrained_student() if name == "student" else ROOT / "models/weights/grader"
-    grader = make_grader(grader, "cpu")
-    env = gymnasium.make_vec(TASK, num_envs=ENVS, grader=grader)
-    single = SyncVectorEnv([partial(gymnasium.make, TASK, grader=grader)] * ENVS)
-    seconds: Times = {"ours": [], PEERS["sync"]: []}
-    for turn in range(4):
-        (took, mine), (peer, theirs) = (play(each, 2, turn) for each in (env, single))
-        assert_equal(mine, theirs, parts=(0, 2, 3))
-        for one, other in zip(mine, theirs, strict=True):
-            assert np.allclose(one[1], other[1], atol=0.5), "grades are of bfloat16"
-        if turn:
-            seconds["ours"].append(took)
-            seconds[PEERS["sync"]].append(peer)
-    benchmark.pedantic(lambda: play(env, STEPS["image"], 0), rounds=ROUNDS)
+def test_64_rows_with_a_grader(benchmark, line, name: str, tmp_path: Path) -> None:
+    envs = make_sides(grader_folder(name, tmp_path))
+    seconds: dict[str, list[float]] = {side: [] for side in envs}
+    try:
+        for turn in range(4):
+            told = {side: play(env, 2, turn) for side, env in envs.items()}
+            for side, (took, seen) in told.items():
+                assert_equal_but_for_rounding(told["ours"][1], seen)
+                if turn:
+                    seconds[side].append(took)
+        benchmark.pedantic(lambda: play(envs["ours"], STEPS["image"], 0), rounds=ROUNDS)
+    finally:
+        for env in envs.values():
+            env.close()
     work = f"steps of 64 environments, image, graded by the {NAMES[name]}"
-    equal = "observations, flags; rewards within a grade's rounding"
-    one = line_of(work, "steps/s", 2 * ENVS, seconds, PEERS["sync"], equal)
-    line(one)
-    assert one.ours >= GRADED[name], one
+    for side, peer in PEERS.items():
+        times = {"ours": seconds["ours"], peer: seconds[side]}
+        one = line_of(work, "steps/s", 2 * ENVS, times, peer, GRADES)
+        line(one)
+        assert one.ours >= GRADED[name], one
 
 
-def make_sides(observation: str) -> dict[str, Any]:
+def make_sides(grader: Path | None = None, **settings: Any) -> dict[str, Any]:
     """Return our vector environment and its peers; the phantom is baked before they fork."""
     shared_phantom()
-    settings = {"observation": observation, "reward": "oracle"}
-
-    def single() -> gymnasium.Env:
-        return gymnasium.make(TASK, **settings)
+    task = TASK.format(TIERS[HEART])
 
     def alone() -> gymnasium.Env:
         torch.set_num_threads(1)
-        return single()
+        return gymnasium.make(task, **settings, **({"grader": grader} if grader else {}))
 
     threads = torch.get_num_threads()
     processes = AsyncVectorEnv([alone] * ENVS, shared_memory=True, context="fork")
     torch.set_num_threads(threads)  # one was made in this process, to read its spaces
-    ours = gymnasium.make_vec(TASK, num_envs=ENVS, **settings)
-    return {"ours": ours, "sync": SyncVectorEnv([single] * ENVS), "async": processes}
+    if grader:
+        settings |= {"grader": make_grader(grader, "cpu")}
+    ours, single = rows_of(TIERS[HEART], **settings), single_rows(TIERS[HEART], **settings)
+    return {"ours": ours, "sync": single, "async": processes}
+
+
+def rows_of(task: str, **settings: Any) -> Any:
+    """Return all rows of a task in one batched core."""
+    return gymnasium.make_vec(TASK.format(task), num_envs=ENVS, **settings)
+
+
+def single_rows(task: str, **settings: Any) -> Any:
+    """Return as many single environments, one after the other."""
+    return SyncVectorEnv([partial(gymnasium.make, TASK.format(task), **settings)] * ENVS)
+
+
+def assert_rows_are_single(env: Any, task: str, **settings: Any) -> None:
+    """Check that the rows of a batch are the single environments of their seeds, bit by bit."""
+    peers = single_rows(task, **settings)
+    try:
+        assert_equal(play(env, 3, 1)[1], play(peers, 3, 1)[1])
+    finally:
+        peers.close()
+
+
+def grader_folder(name: str, folder: Path) -> Path:
+    """Return the folder of a grader; an untrained student's weights are written to one."""
+    if name != "student":
+        return ROOT / "models/weights/grader"
+    untrained_student().save(folder)
+    return folder
 
 
 def untrained_student() -> Student:
@@ -159,6 +190,13 @@ def assert_equal(ours: list[tuple], peers: list[tuple], parts: tuple = (0, 1, 2,
     for mine, theirs in zip(ours, peers, strict=True):
         for part, other in ((mine[i], theirs[i]) for i in parts):
             assert part.dtype == other.dtype and np.array_equal(part, other)
+
+
+def assert_equal_but_for_rounding(ours: list[tuple], peers: list[tuple]) -> None:
+    """Check that steps are equal, rewards as far as grades of bfloat16 tell."""
+    assert_equal(ours, peers, parts=(0, 2, 3))
+    for one, other in zip(ours, peers, strict=True):
+        assert np.allclose(one[1], other[1], atol=0.5), "grades are of bfloat16"
 
 
 def rate(seconds: list[float], steps: int) -> float:
