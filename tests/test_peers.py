@@ -111,7 +111,7 @@ def test_the_limits_and_what_was_tried_are_told():
     assert all(len(work["longest"]) == 5 and work["operations"] > 50 for work in works)
     assert [work["voxels"] > 0 for work in works] == [True, True, False, False]
     assert [work["flops"] > 0 for work in works] == [True, True, True, False]
-    assert [len(told["tables"][name]["rows"]) for name in ("machine", "limits", "longest")] == [
+    assert [len(told["tables"][name]["rows"]) for name in ("ceilings", "limits", "longest")] == [
         5, 4, 4,
     ]  # fmt: skip
     few = tried.Size(rows=2, hearts=1, rounds=1, chunks=(1, 2), patience=0)

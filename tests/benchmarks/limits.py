@@ -270,7 +270,7 @@ def tables(measured: Mapping[str, Any]) -> dict[str, Any]:
     ]  # fmt: skip
     heads = ["work", *(f"{place}." for place in range(1, LONGEST + 1))]
     return {
-        "machine": {"columns": ["limit", "measured"], "right": 1, "rows": machine},
+        "ceilings": {"columns": ["limit", "measured"], "right": 1, "rows": machine},
         "limits": {"columns": columns, "right": 1, "rows": rows},
         "longest": {"columns": heads, "rows": own},
     }
