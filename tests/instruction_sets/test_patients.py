@@ -19,7 +19,7 @@ EQUAL = 0.999
 
 @pytest.mark.instruction_sets
 def test_five_patients_are_drawn_alike(tmp_path: Path, hearts: Path) -> None:
-    """To one gray level, and nearly all to the last bit; masks and voxels are the same."""
+    """To one gray level, and nearly all to the last bit; masks are the same."""
     own = LEVELS.get(torch.backends.cpu.get_cpu_capability(), 0)
     names = [name for name in ONEDNN if LEVELS[name.upper()] <= own]
     done = subprocess.run(
@@ -36,5 +36,4 @@ def test_five_patients_are_drawn_alike(tmp_path: Path, hearts: Path) -> None:
         print(f"{one}, {other}: {equal:.3%} of pixels are equal")
         assert off.max() <= 1, f"{one}, {other}: {(off > 1).sum()} pixels, by {off.max()} at most"
         assert equal >= EQUAL, f"{one}, {other}: only {equal:.3%} of pixels are equal"
-        for what in ("masks", "voxels"):
-            assert np.array_equal(first[what], second[what]), f"{what}, {one}, {other}"
+        assert np.array_equal(first["masks"], second["masks"]), f"masks, {one}, {other}"
