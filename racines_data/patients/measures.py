@@ -13,6 +13,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from racines_data.errors import RacinesError
 from racines_data.patients.bake import label_box
 from racines_data.patients.form import Point
 from racines_data.patients.heart import Heart
@@ -156,7 +157,9 @@ class _Ruler:
         start, along = (torch.tensor(each, dtype=torch.float64) for each in (centre, way))
         hit = torch.isin(self._label_of(start + out.unsqueeze(1) * along), torch.tensor(own))
         met = hit.nonzero().squeeze(1)
-        return round(STEP * float(met[-1] - met[0] + 1), 6) if len(met) else 0.0
+        if not len(met):
+            raise RacinesError(f"a heart has none of the labels {own} on a line through {centre}")
+        return round(STEP * float(met[-1] - met[0] + 1), 6)
 
 
 def _across_root(path: tuple[Point, ...]) -> Point:

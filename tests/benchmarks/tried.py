@@ -33,6 +33,7 @@ from racines_data.patients import pool as pools
 from racines_data.patients import render as patients
 from racines_data.phantom import acoustics, model, shared_phantom
 from racines_data.randomness import sample_seeds
+from racines_leaderboard.determinism.stages import threads
 from racines_models.provenance import environment
 from tests.benchmarks.test_render import poses
 from tests.benchmarks.turns import in_turns, ratios
@@ -88,17 +89,6 @@ def while_set(
 def replaced(owner: Any, name: str, value: Any) -> Callable[[], AbstractContextManager[Any]]:
     """Return a change of an attribute."""
     return lambda: patch.object(owner, name, value)
-
-
-@contextmanager
-def threads(count: int) -> Iterator[None]:
-    """Let torch have so many threads."""
-    before = torch.get_num_threads()
-    torch.set_num_threads(count)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(before)
 
 
 def rewritten(function: Callable[..., Any], **lines: tuple[str, str]) -> Callable[..., Any]:
