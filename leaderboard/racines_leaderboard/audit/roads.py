@@ -11,10 +11,11 @@ from typing import Any
 
 from racines_data.config import fill, section
 from racines_data.errors import RacinesError
+from racines_data.patients.splits import split_of
 from racines_envs.agents import agent_class, load_agent
 from racines_envs.cli.settings import phantom_config
 from racines_envs.evaluation.agent_specs import find_entry
-from racines_envs.evaluation.patients import evaluate_patients
+from racines_envs.evaluation.patients import StartSet, evaluate_patients
 from racines_envs.evaluation.run import evaluate
 from racines_envs.evaluation.trainings import find_trainings, published_run
 from racines_envs.worlds.backends import make_grader
@@ -306,13 +307,14 @@ def _published(record: Record, bench: Bench) -> Path | None:
 
 
 def score_agent(
-    record: Record, bench: Bench, folder: Path, train: bool = False, first: bool = False
-) -> Made:
+    record: Record, bench: Bench, folder: Path, train: bool = False, first: bool = False,
+    starts: StartSet | None = None,
+) -> Made:  # fmt: skip
     """Return the scores of a merged agent, its policy in a folder, by the board's settings.
 
     With `train`, what learns is trained there first; a run that was killed goes on. With `first`,
     the first of its trainings alone acts. The graders that had a say are those that the record
-    names.
+    names. On patients it acts from the board's starts, or from `starts`.
     """
     assert bench.settings is not None
     view = record["scores"]["task"]["view"]
@@ -334,7 +336,11 @@ def score_agent(
         agent.guide = make_grader(guide, "cpu")
     if record["track"] == PATIENT_AGENTS.name:
         on, name = dataclasses.replace(bench.on_patients(view), device="cpu"), record["name"]
-        return Made.of(evaluate_patients(entry.agent, folder, on, agent, name, bench.board))
+        if starts is not None:
+            on = dataclasses.replace(on, split=split_of(starts.patients[0]))
+        return Made.of(
+            evaluate_patients(entry.agent, folder, on, agent, name, bench.board, starts=starts)
+        )
     settings = {"view": view, "grader": str(judge or ""), "latency": 0, "device": "cpu"}
     config = dataclasses.replace(bench.evaluation, **settings)
     published = _published(record, bench)

@@ -1,7 +1,7 @@
 """The command `racines leaderboard`."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -111,10 +111,12 @@ def score_again(
     results: Path, submissions: Path, unconfined: bool, force: bool, secret: Path | None,
 ) -> list[str]:  # fmt: skip
     """Score submissions again on boards that settings make, and in secret; return the boards."""
+    from racines_leaderboard.audit.bench import Bench, Places
     from racines_leaderboard.board import recompute as scoring
     from racines_leaderboard.board.belonging import board_of
     from racines_leaderboard.cli.secret import today
     from racines_leaderboard.fresh import draw_in_secret, read_secret
+    from racines_leaderboard.fresh.merged import draw_merged
     from racines_leaderboard.submissions.confined.session import Limits
     from racines_models.scores.scoring import ScoresConfig
 
@@ -123,7 +125,13 @@ def score_again(
     grader, pose = None if no_grader else Path(told.grader), Path(told.pose)
     pose = pose if pose.is_dir() else None
     limits = Limits(unconfined=unconfined)
-    folders = [scoring.find(submissions, name) for name in names]
+    merged = {} if secret is None else _merged(names, board, results)
+    bench = Bench(board or "", Places(results, submissions, data, params or Path("params.yaml")))
+    for name, path in merged.items():
+        assert secret is not None
+        opened = read_secret(secret, results, bench.board)
+        _tell_drawn(name, draw_merged(path, bench, opened, today(), force))
+    folders = [scoring.find(submissions, name) for name in names if name not in merged]
     boards = [board_of(folder, settings, board) for folder in folders]
     for folder, board in zip(folders, boards, strict=True):
         ground = scoring.Ground(board, settings, data, grader, pose, CACHE, limits)
@@ -132,10 +140,22 @@ def score_again(
         told = f"{record['track']}/{record['name']}"
         note(f"racines: scored again: {told}")
         if opened is not None:
-            drawn = draw_in_secret(folder, ground, results, opened, today(), force, True)
-            flags = "; ".join(drawn["flags"]) or "no flag"
-            note(f"racines: drawn in secret, round {drawn['round']}: {told}: {flags}")
+            _tell_drawn(told, draw_in_secret(folder, ground, results, opened, today(), force, True))
+    boards += [bench.board] if merged else []
     return list(dict.fromkeys(boards))
+
+
+def _merged(names: list[str], board: str | None, results: Path) -> dict[str, Path]:
+    """Return the records of a board that are of merged agents, by the names that were given."""
+    from racines_leaderboard.fresh.merged import merged_record
+
+    found = {name: merged_record(results, board, name) for name in names}
+    return {name: path for name, path in found.items() if path is not None}
+
+
+def _tell_drawn(name: str, drawn: dict[str, Any]) -> None:
+    flags = "; ".join(drawn["flags"]) or "no flag"
+    note(f"racines: drawn in secret, round {drawn['round']}: {name}: {flags}")
 
 
 def _board_of(params: Path, board: str | None) -> str:

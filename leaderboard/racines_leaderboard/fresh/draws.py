@@ -80,16 +80,36 @@ def draw_in_secret(
             f"{folder}: nothing of track {document['track']} is drawn in secret: {why}: leave out "
             "--secret"
         )
+    about = {"track": document["track"], "name": document["name"], "weights": weights}
+    about |= {"reason": MADE_BEFORE.get(kind)}
+    about |= draws(document, kind, paths, ground, secret, record, progress)
+    return write_draws(about, results, secret, number["nonce"] is not None, today, force)
+
+
+def write_draws(
+    about: dict[str, Any], results: Path, secret: Secret, revealed: bool, today: str, force: bool
+) -> dict[str, Any]:
+    """Write the file of an entry's fresh draws, and return what it holds.
+
+    Args:
+        about: track, name, weights and all that was drawn.
+        results: Folder of the boards.
+        secret: Whose draws they are.
+        revealed: Whether its nonce is public.
+        today: The date, as 2026-01-31.
+        force: Let it take the place of other draws of the round.
+
+    Raises:
+        RacinesError: without `force`, other figures in its place.
+    """
     content: dict[str, Any] = {
-        "schema": SCHEMA, "board": ground.board, "track": document["track"],
-        "name": document["name"], "round": secret.round, "commitment": secret.commitment,
-        "drawn": today, "revealed": number["nonce"] is not None, "weights": weights,
-        "reason": MADE_BEFORE.get(kind),
+        "schema": SCHEMA, "board": secret.board, "round": secret.round,
+        "commitment": secret.commitment, "drawn": today, "revealed": revealed,
     }  # fmt: skip
-    content |= draws(document, kind, paths, ground, secret, record, progress)
+    content |= about
     content |= {"flags": flags_in(content), "code": code_version(), "environment": environment()}
     content = sealed(json.loads(json.dumps(content, allow_nan=False)))
-    path = place(results, ground.board, secret.round, document["track"], document["name"])
+    path = place(results, secret.board, secret.round, content["track"], content["name"])
     check(content, "secret-scores", str(path))
     with locked(results):
         if path.is_file() and not force:
@@ -189,14 +209,25 @@ def _on_patients(
     record: Record, progress: bool,
 ) -> dict[str, Any]:  # fmt: skip
     """Return what a file of fresh draws says of an agent on patients: on others, as many."""
-    told: dict[str, Any] = {"basis": None, "copies": None, "margins": FALLS_ON_PATIENTS}
-    told["nearer"] = {"public": None, "secret": None}
-    figures = None
+    starts, figures = None, None
     if kind not in MADE_BEFORE:
         starts = secret_starts(secret, start_set(on_patients(ground)))
         figures = agent_scores(document, kind, paths, ground, starts)["metrics"]
-        told["basis"] = {"n": len(starts.units), "units": len(starts.patients), "digest": None}
-    return told | {"figures": _beside(PATIENT_AGENTS.name, record["scores"]["metrics"], figures)}
+    return told_of_patients(record, starts, figures)
+
+
+def told_of_patients(
+    record: Record, starts: StartSet | None, figures: dict[str, Any] | None
+) -> dict[str, Any]:
+    """Return what a file says of figures on fresh patients, beside those of a record."""
+    basis = None
+    if starts is not None:
+        basis = {"n": len(starts.units), "units": len(starts.patients), "digest": None}
+    return {
+        "basis": basis, "copies": None, "margins": FALLS_ON_PATIENTS,
+        "nearer": {"public": None, "secret": None},
+        "figures": _beside(PATIENT_AGENTS.name, record["scores"]["metrics"], figures),
+    }  # fmt: skip
 
 
 def secret_starts(secret: Secret, public: StartSet) -> StartSet:

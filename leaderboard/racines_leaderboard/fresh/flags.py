@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from racines_data.errors import RacinesError
+from racines_leaderboard.audit.weights import named
 from racines_leaderboard.fresh.rounds import read_history
 from racines_leaderboard.records.schema import KEY, read_json, seal_of
 from racines_leaderboard.records.tracks import TRACK, Column
@@ -127,10 +128,8 @@ def flags_of(board_folder: Path, track: str, name: str) -> list[str]:
         return []
     document = read_secret_scores(path, results)
     record = board_folder / track / f"{name}.json"
-    if record.is_file():
-        weights = read_json(record, "record")["scores"]["weights"]
-        if weights != document["weights"]:
-            return [*document["flags"], "fresh draws are of an earlier file"]
+    if record.is_file() and named(read_json(record, "record")) != document["weights"]:
+        return [*document["flags"], "fresh draws are of an earlier file"]
     return document["flags"]
 
 

@@ -320,6 +320,46 @@ def test_a_policy_that_knows_the_test_patients_is_flagged(board, monkeypatch):
     assert "Flagged, patient-agents/mine: sharp drop" in " ".join(shown.split())
 
 
+def test_a_merged_agent_acts_on_patients_of_a_round(board, tmp_path):
+    private = str(tmp_path / "nonce.json")
+    racines("board", "commit-secret", "patients", "--out", private)
+    again = ["leaderboard", "--board", "patients", "--secret", private, "--recompute"]
+    record = RESULTS / "patients/patient-agents/constant-pose-a4c.json"
+    before = record.read_bytes()
+    for name in ("constant-pose-a4c", "patient-agents/constant-pose-a4c"):
+        racines(*again, name)  # the second time it comes out the same
+    (path,) = RESULTS.glob("patients/secret/round-1/patient-agents/*.json")
+    drawn = json.loads(path.read_text())
+    assert drawn["basis"] == {"n": 6, "units": 3, "digest": None}
+    figures, public = drawn["figures"]["success_declared"], json.loads(record.read_text())["scores"]
+    assert figures["public"]["value"] == public["metrics"]["success_declared"]["value"]
+    assert figures["secret"]["n"] == 6 and drawn["weights"] == public["weights"]["files"]
+    assert record.read_bytes() == before, "the record stays what it was"
+    ends = drawn["figures"]["position_error_median"]
+    assert ends["secret"]["value"] != ends["public"]["value"], "other patients, other ends"
+    racines("board", "reveal", "patients", "--secret", private)
+    racines(*again[:-3], "--secret", str(RESULTS / "patients/secrets.json"), "--recompute",
+            "constant-pose-a4c", "--force")  # fmt: skip
+    assert json.loads(path.read_text())["flags"] == [
+        "drawn after the reveal, when the draws were public"
+    ]
+
+
+def test_what_cannot_be_confirmed_in_secret_is_refused(board, tmp_path):
+    private = str(tmp_path / "nonce.json")
+    racines("board", "commit-secret", "patients", "--out", private)
+    again = ["leaderboard", "--board", "patients", "--secret", private, "--recompute"]
+    with pytest.raises(RacinesError, match=r"planner-a4c\.json: it learns nothing"):
+        racines(*again, "planner-a4c")
+    with pytest.raises(RacinesError, match="no submission in"):
+        racines(*again, "nobody")
+    with pytest.raises(RacinesError, match="no submission in"):
+        racines(*again[:-3], "--recompute", "constant-pose-a4c")
+    shutil.rmtree("envs/runs/constant-pose")
+    with pytest.raises(RacinesError, match="cannot be drawn in secret: no policy of it in"):
+        racines(*again, "constant-pose-a4c")
+
+
 def test_secret_patients_are_others_each_round_and_nobody_elses():
     public = StartSet(tuple(range(20_000, 20_140)), 3, 0)
     rounds = [
