@@ -82,6 +82,8 @@ def ejection(
     )
     found = f"{100 * report['found_and_declared']:.0f} % found and declared"
     shown = f"{found}; mean absolute error of the ejection fraction: {errors}"
+    if axis := report["foreshortening"]["agent"].get("bias"):
+        shown += f"; long axis in the agent's plane: {100 + axis['value']:.0f} % of the true one"
     table = console_table(head, rows, f"{entry.name} on {config.view}", right=2)
     tell(report, as_json, table, shown, f"written: {out}, {picture}")
 

@@ -2,6 +2,9 @@
 
     probe held where the agent ended, for a beat ── 25 pictures ── outlines ── disks ── EDV, ESV, EF
 
+Beside volumes it tells how long the ventricle is in the plane: a plane that misses the apex shows
+it foreshortened.
+
 The same is done with the true outlines in place of the judge's, and with the planner's pose, who is
 told where the view is, in place of the agent's. What the planner's true outlines miss is geometry:
 one plane and round disks. What the agent's true outlines miss beyond that is the view; what the
@@ -55,7 +58,7 @@ from racines_envs.worlds.ward import Ward, make_ward
 from racines_models.devices import on_device
 from racines_models.judges.segmentation.model import SegmentationJudge
 from racines_models.judges.segmentation.structures import relabel, to_camus, to_structures
-from racines_models.studies.sim_to_real.ejection import agreement, disk_volume
+from racines_models.studies.sim_to_real.ejection import agreement, measure_ventricle
 
 SCHEMA = "racines.ejection/1"
 PARTS = "racines.ejection-parts/1"
@@ -63,9 +66,13 @@ FRAMES = 25
 """Pictures of the beat for which the probe is held."""
 STREAM = 457
 OUTLINES, POSES = ("judge", "truth"), ("agent", "planner")
-VOLUMES = ("end_diastolic_volume", "end_systolic_volume", "ejection_fraction")
-UNITS = ("mL", "mL", "%")
-MOST = (np.inf, np.inf, 100.0)
+FIGURES = {
+    "end_diastolic_volume": ("mL", np.inf),
+    "end_systolic_volume": ("mL", np.inf),
+    "ejection_fraction": ("%", 100.0),
+    "long_axis": ("mm", np.inf),
+}
+"""What is told of a beat: its unit, and the most that it can be."""
 INKS = (OURS, PAPER)
 
 
@@ -85,6 +92,8 @@ class Beat(NamedTuple):
     """End-diastolic volume, mL: the largest of the beat."""
     empty: np.ndarray
     """End-systolic volume, mL: the smallest."""
+    length: np.ndarray
+    """Of the ventricle's long axis, mm: the longest of the beat."""
 
     @property
     def fraction(self) -> np.ndarray:
@@ -156,6 +165,9 @@ def study_ejection(
     report["agreement"] = {
         f"{pose}, {outline}": _agreement(own, truth, starts.units)
         for (pose, outline), own in measured.items()
+    }
+    report["foreshortening"] = {
+        pose: _foreshortening(measured[pose, "truth"], truth, starts.units) for pose in POSES
     }
     report["errors"] = _errors(measured, truth)
     report["seconds"] = kept.spent + time.perf_counter() - began
@@ -232,9 +244,9 @@ def _chunk(
         if who == "agent":
             declared.append(part["declared"])
         for outline in OUTLINES:
-            found[who, outline].append(Beat(part[f"{outline}.full"], part[f"{outline}.empty"]))
+            found[who, outline].append(Beat(*(part[f"{outline}.{key}"] for key in Beat._fields)))
     true = kept.part(f"truth, {whose}", partial(_true, starts, ward))
-    return found, Beat(true["full"], true["empty"]), np.stack(declared)
+    return found, Beat(*(true[key] for key in Beat._fields)), np.stack(declared)
 
 
 def _who(agents: Sequence[Agent]) -> Iterator[tuple[str, int, Agent]]:
@@ -260,10 +272,10 @@ def _held(
 
 
 def _true(starts: StartSet, ward: Callable[[], Ward]) -> dict[str, np.ndarray]:
-    """Return the true volumes of (N,) episodes' patients."""
-    every = [ward().pool.measures(row).volumes["lv"] for row in range(len(starts.patients))]
-    volumes = np.array([[each[0], each[-1]] for each in every])
-    return Beat(*np.repeat(volumes, starts.starts, 0).T)._asdict()
+    """Return the true volumes and lengths of (N,) episodes' patients."""
+    every = [ward().pool.measures(row) for row in range(len(starts.patients))]
+    true = [[each.volumes["lv"][0], each.volumes["lv"][-1], each.lv_length[0]] for each in every]
+    return Beat(*np.repeat(np.array(true), starts.starts, 0).T)._asdict()
 
 
 def hold(pool: Pool, core: ScanCore, judge: SegmentationJudge) -> tuple[Beat, Beat]:
@@ -287,18 +299,18 @@ def hold(pool: Pool, core: ScanCore, judge: SegmentationJudge) -> tuple[Beat, Be
 
 
 def _beat(masks: Tensor, size: np.ndarray) -> Beat:
-    """Return the volumes of (N, FRAMES, H, W) masks with (N,) mm a pixel."""
-    volumes = np.array(
+    """Return the volumes and lengths of (N, FRAMES, H, W) masks with (N,) mm a pixel."""
+    found = np.array(
         [
-            [disk_volume(mask, np.array([mm, mm])) for mask in row]
+            [measure_ventricle(mask, np.array([mm, mm])) for mask in row]
             for row, mm in zip(masks.numpy(), size, strict=True)
         ]
     )
-    return Beat(*_extremes(volumes))
+    return Beat(*_extremes(found[..., 0]), _extremes(found[..., 1])[0])
 
 
 def _extremes(volumes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the largest and smallest of (N, FRAMES) volumes, after a median over three moments.
+    """Return the largest and smallest of (N, FRAMES) figures, after a median over three moments.
 
     A beat in which fewer than half of the pictures show a ventricle is not measured.
     """
@@ -316,19 +328,29 @@ def _joined(beats: Sequence[Beat]) -> Beat:
     return Beat(*(np.concatenate(column) for column in zip(*beats, strict=True)))
 
 
-def _figures(beat: Beat) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    return beat.full, beat.empty, beat.fraction
+def _figures(beat: Beat) -> tuple[np.ndarray, ...]:
+    """Return a beat's figures in the order of `FIGURES`."""
+    return beat.full, beat.empty, beat.fraction, beat.length
 
 
 def _agreement(own: Sequence[Beat], truth: Beat, units: np.ndarray) -> dict[str, Any]:
-    """Return bias, limits and correlation of each volume; patients are the units."""
+    """Return bias, limits and correlation of each figure; patients are the units."""
     several = zip(*(_figures(each) for each in own), strict=True)
     return {
         name: agreement(np.stack(found), true, unit, most, units)
-        for name, found, true, unit, most in zip(
-            VOLUMES, several, _figures(truth), UNITS, MOST, strict=True
+        for (name, (unit, most)), found, true in zip(
+            FIGURES.items(), several, _figures(truth), strict=True
         )
     }
+
+
+def _foreshortening(own: Sequence[Beat], truth: Beat, units: np.ndarray) -> dict[str, Any]:
+    """Return how much of the true long axis true outlines show, per cent of it: 100 is all.
+
+    Its `bias` is the mean foreshortening, negative where the axis in the plane is shorter.
+    """
+    shown = np.stack([100.0 * each.length / truth.length for each in own])
+    return agreement(shown, np.full(len(units), 100.0), "%", units=units)
 
 
 def _errors(measured: Measured, truth: Beat) -> dict[str, float | None]:

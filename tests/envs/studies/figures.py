@@ -17,6 +17,11 @@ from racines_envs.studies.robustness.run import NOTHING, RANKED, changes
 
 RESULTS = Path(__file__).parents[3] / "docs/results"
 MACHINE = "one core of an AMD EPYC"
+VOLUMES = {
+    "end_diastolic_volume": "end-diastolic volume",
+    "end_systolic_volume": "end-systolic volume",
+    "long_axis": "long axis",
+}
 
 
 def points(change: dict[str, Any] | None) -> str:
@@ -63,7 +68,12 @@ def ejection(report: dict[str, Any]) -> dict[str, Any]:
                      str(each["patients"]), str(left_out)])  # fmt: skip
     columns = ["pose, outlines", "bias, points", "limits of agreement", "correlation", "measured",
                "not measured"]  # fmt: skip
+    further = ["pose, outlines", "of", "bias", "limits of agreement", "correlation"]
     starts, agent = report["task"]["start_set"], report["agent"]
+    short = {
+        f"foreshortened_{pose}": round(-told["bias"]["value"], 1)
+        for pose, told in report["foreshortening"].items()
+    }
     return {
         "what": f"ejection fractions at A4C as {agent} found it, {starts['patients']} "
         f"{starts['split']} patients, against the truth",
@@ -74,9 +84,26 @@ def ejection(report: dict[str, Any]) -> dict[str, Any]:
             "frames": report["frames"],
             "found": round(100 * report["found_and_declared"]),
             **{name: round(value, 1) for name, value in report["errors"].items()},
+            **short,
         },
-        "tables": {"agreement": {"columns": columns, "rows": rows}},
-    }
+        "tables": {
+            "agreement": {"columns": columns, "rows": rows},
+            "volumes": {"columns": further, "rows": volumes(report)},
+        },
+    }  # fmt: skip
+
+
+def volumes(report: dict[str, Any]) -> list[list[str]]:
+    """Return the rows on volumes and the long axis, by pose and outlines."""
+    rows = []
+    for title, told in report["agreement"].items():
+        for name, title_of in VOLUMES.items():
+            each = told[name]
+            low, high = (each[f"{end}_limit"]["value"] for end in ("lower", "upper"))
+            bias = f"{number(each['bias'])} {each['bias']['unit']}"
+            rows.append([title, title_of, bias, f"{low:+.0f} to {high:+.0f}",
+                         number(each["correlation"], "", 2)])  # fmt: skip
+    return rows
 
 
 if __name__ == "__main__":

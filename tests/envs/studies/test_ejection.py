@@ -17,6 +17,7 @@ from racines_models.judges.segmentation.model import SegmentationJudge
 from racines_models.studies.sim_to_real.ejection import agreement
 
 JUDGE = "models/weights/phantom-patients/segmentation"
+LONG = np.array([90.0])
 QUICK = EjectionConfig(split="validation", patients=2)
 
 
@@ -30,14 +31,14 @@ def test_a_beat_is_its_largest_and_smallest_ventricle():
     assert np.allclose(full[[0, 1]], beat[[1]], atol=0.1) and np.isnan([full[2], empty[2]]).all()
     assert np.allclose(empty[:2], beat.min()), "one odd picture does not count"
     assert np.isfinite([full[3], empty[3]]).all()
-    assert np.allclose(Beat(np.array([120.0]), np.array([48.0])).fraction, 60.0)
+    assert np.allclose(Beat(np.array([120.0]), np.array([48.0]), LONG).fraction, 60.0)
 
 
 def test_errors_are_told_by_what_they_are_from():
-    truth = Beat(np.full(4, 100.0), np.full(4, 40.0))  # 60 %
+    truth = Beat(np.full(4, 100.0), np.full(4, 40.0), np.full(4, 90.0))  # 60 %
 
     def of(fraction: list[float]) -> list[Beat]:
-        return [Beat(np.full(4, 100.0), 100.0 - np.array(fraction))]
+        return [Beat(np.full(4, 100.0), 100.0 - np.array(fraction), np.full(4, 90.0))]
 
     measured = {
         ("agent", "judge"): of([50.0, 50.0, 50.0, np.nan]),
@@ -53,6 +54,17 @@ def test_errors_are_told_by_what_they_are_from():
     assert several["bias"]["value"] == pytest.approx((0.0 + 0.625) / 2)
 
 
+def test_foreshortening_is_the_part_of_the_long_axis_that_the_plane_misses():
+    truth = Beat(np.full(4, 100.0), np.full(4, 40.0), np.array([80.0, 90.0, 100.0, 90.0]))
+    short = np.array([[72.0, 81.0, 90.0, np.nan], [80.0, 90.0, 100.0, 90.0]])
+    own = [truth._replace(length=each) for each in short]
+    told = module._foreshortening(own, truth, np.arange(4))
+    assert told["not_seen"] == 1 and told["patients"] == 7
+    assert told["bias"]["value"] == pytest.approx(-5.0), (
+        "a tenth in one training, none in the other"
+    )
+
+
 def test_the_planners_true_outlines_measure_what_is_true():
     judge = SegmentationJudge.load(JUDGE)
     report, measured, truth = study_ejection("planner", Path(), QUICK, judge)
@@ -63,6 +75,10 @@ def test_the_planners_true_outlines_measure_what_is_true():
     plane = measured["planner", "truth"][0]
     assert np.allclose(plane.full, truth.full, rtol=0.3)
     assert np.abs(plane.fraction - truth.fraction).max() < 15.0
+    assert np.allclose(truth.length, [each.lv_length[0] for each in true])
+    assert np.allclose(plane.length, truth.length, rtol=0.15)
+    told = report["foreshortening"]
+    assert told["agent"] == told["planner"] and told["planner"]["patients"] == 2
     for outlines in ("truth", "judge"):
         one, other = measured["agent", outlines][0], measured["planner", outlines][0]
         assert np.array_equal(one.full, other.full), "the agent is the planner"

@@ -8,6 +8,7 @@ from racines_models.studies.sim_to_real.ejection import (
     agreement,
     disk_volume,
     ejection_fractions,
+    measure_ventricle,
 )
 from racines_models.studies.sim_to_real.sectors import are_stretched, unstretched
 from tests.models.judges.masked import hearts
@@ -20,12 +21,13 @@ def test_disks_make_the_volume_of_a_spheroid():
     mask = (((x - 64) / 20) ** 2 + ((y - 60) / 40) ** 2 < 1).astype(np.uint8)
     exact = 4 / 3 * np.pi * 20 * 20 * 40 * MM**3 / 1e3
     assert disk_volume(mask, np.array([MM, MM])) == pytest.approx(exact, rel=0.02)
+    assert measure_ventricle(mask, np.array([MM, MM])).length == pytest.approx(80 * MM, rel=0.02)
     turned = np.rot90(mask).copy()
     assert disk_volume(turned, np.array([MM, MM])) == pytest.approx(exact, rel=0.02)
     assert disk_volume(mask, np.array([2 * MM, MM])) == pytest.approx(2 * exact, rel=0.02)
     mask[0, 0] = 1  # a stray pixel
     assert disk_volume(mask, np.array([MM, MM])) == pytest.approx(exact, rel=0.02)
-    assert np.isnan(disk_volume(np.zeros((128, 128), np.uint8), np.array([MM, MM])))
+    assert np.isnan(measure_ventricle(np.zeros((128, 128), np.uint8), np.array([MM, MM]))).all()
 
 
 def test_the_mitral_plane_is_where_the_atrium_begins():

@@ -6,7 +6,7 @@ middle of the mitral plane, where ventricle and atrium touch, to the point farth
 """
 
 from collections.abc import Callable, Mapping
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy import ndimage
@@ -23,8 +23,22 @@ TOUCH = 3
 """Pixels of a mitral plane; with fewer, the end far from the probe is taken for it."""
 
 
+class Ventricle(NamedTuple):
+    """A left ventricle in one plane; NaN where none is seen."""
+
+    volume: float
+    """By the method of disks, mL."""
+    length: float
+    """Of the long axis, mm."""
+
+
 def disk_volume(mask: np.ndarray, mm: np.ndarray) -> float:
-    """Return the volume of the left ventricle, mL; NaN where none is seen.
+    """Return the volume of `measure_ventricle` alone."""
+    return measure_ventricle(mask, mm).volume
+
+
+def measure_ventricle(mask: np.ndarray, mm: np.ndarray) -> Ventricle:
+    """Return volume and length of the left ventricle.
 
     Args:
         mask: (H, W) of CAMUS's numbers; of the ventricle, the largest connected part counts.
@@ -32,7 +46,7 @@ def disk_volume(mask: np.ndarray, mm: np.ndarray) -> float:
     """
     number, sizes = parts(mask == LV)
     if not len(sizes) or sizes.max() < FEWEST:
-        return float("nan")
+        return Ventricle(float("nan"), float("nan"))
     ventricle = number == 1 + int(np.argmax(sizes))
     points = np.argwhere(ventricle) * mm
     base = _mitral_plane(ventricle, mask == LA, mm)
@@ -44,7 +58,8 @@ def disk_volume(mask: np.ndarray, mm: np.ndarray) -> float:
     # What lies beyond the plane on a slanted edge belongs to the first disk.
     disk = np.clip(along / height, 0, DISKS - 1).astype(int)
     width = np.bincount(disk, minlength=DISKS) * float(mm.prod()) / height
-    return float(np.pi / 4.0 * np.square(width).sum() * height / 1e3)
+    volume = float(np.pi / 4.0 * np.square(width).sum() * height / 1e3)
+    return Ventricle(volume, length)
 
 
 def _mitral_plane(ventricle: np.ndarray, atrium: np.ndarray, mm: np.ndarray) -> np.ndarray:
