@@ -13,6 +13,7 @@ from racines_data.escape import visible
 from racines_data.files import write_atomic
 from racines_data.plotting import GRID, NO_VIEW, OURS, card_style, encode
 from racines_data.tables import escape
+from racines_leaderboard.board.about import about
 from racines_leaderboard.board.collect import boards, read_board
 from racines_leaderboard.board.rank import SCORE, Ranked, Record, rankings
 from racines_leaderboard.board.standing import is_bound
@@ -52,7 +53,8 @@ def write_page(page: Path, results: Path) -> None:
     parts = [HEAD]
     for board in boards(results):
         content = read_board(results, board)
-        parts.append(f"## {escape(board)}\n\n{_tables(results / board, content, details=True)}\n")
+        head = f"## {escape(board)}\n\n{about(board)}"
+        parts.append(f"{head}\n\n{_tables(results / board, content, details=True)}\n")
         for track in TRACKS:
             image = results / board / f"{track.name}.png"
             if _write_chart(image, track, content[track.name]):
@@ -72,7 +74,7 @@ def with_tables(text: str, results: Path, where: str) -> str:
     if board not in boards(results):
         raise RacinesError(f"{where}: board {board!r} has no results under {results}")
     tables = _tables(results / board, read_board(results, board))
-    return f"{before}{opening}{board}{closing}\n\n{tables}\n\n{END}{after}"
+    return f"{before}{opening}{board}{closing}\n\n{about(board)}\n\n{tables}\n\n{END}{after}"
 
 
 @card_style()

@@ -11,6 +11,7 @@ from typing import Any
 
 from matplotlib.figure import Figure
 
+from racines_leaderboard.board.about import about
 from racines_leaderboard.board.collect import boards, read_board
 from racines_leaderboard.board.pages import panel
 from racines_leaderboard.board.rank import SCORE, SHOWN, Ranked, Record, by_task, rank, verdict_of
@@ -143,7 +144,8 @@ def tables_html(results: Path, wanted: Selection) -> str:
         if track.name not in there:
             return note(f"This board has no {track.name}: choose {' or '.join(there)}.")
         return note("No result fits: choose other filters.")
-    return "\n".join([*tables, *(_table(each, named=False) for each in reported_tables(track))])
+    reported = (_table(each, named=False) for each in reported_tables(track))
+    return "\n".join([note(about(wanted.board)), *tables, *reported])
 
 
 def _table(table: Table, named: bool = True) -> str:

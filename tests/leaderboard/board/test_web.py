@@ -13,11 +13,11 @@ from typer.testing import CliRunner
 
 from racines_data.errors import RacinesError
 from racines_data.escape import json_in_html
+from racines_leaderboard.board.about import ABOUT, about
 from racines_leaderboard.board.collect import collect
 from racines_leaderboard.board.standing import standing_of
 from racines_leaderboard.board.table import steady
 from racines_leaderboard.board.web.content import (
-    ABOUT,
     compared,
     ordered,
     pairs,
@@ -25,6 +25,7 @@ from racines_leaderboard.board.web.content import (
 )
 from racines_leaderboard.board.web.page import LARGEST, html_page
 from racines_leaderboard.cli.command import app
+from racines_leaderboard.studio.boards import Selection, tables_html
 from racines_models.statistics.intervals import difference
 from tests.hostile import ALL
 from tests.leaderboard.conftest import agent_scores, generator_scores, write_submission
@@ -110,6 +111,19 @@ def test_every_record_stands_in_the_committed_page_with_its_score(published):
     )
     assert any("servo-a4c" in line and told in line for line in text)
     assert set(ABOUT) == {path.name for path in RESULTS.iterdir() if path.is_dir()}
+
+
+def test_every_page_says_that_the_first_tier_is_one_heart():
+    page = (ROOT / "leaderboard/LEADERBOARD.md").read_text(encoding="utf-8")
+    for board in ("phantom-default", "phantom-reference"):
+        told = about(board)
+        assert "One simulated heart, the same in training and test" in told
+        assert f"## {board}\n\n{told}\n" in page
+        assert html.escape(told) in PAGE.read_text(encoding="utf-8")
+        shown = tables_html(RESULTS, Selection(board, "generators"))
+        assert shown.startswith(f'<p class="rc-note">{told}</p>')
+    readme = (ROOT / "docs/one-heart.md").read_text(encoding="utf-8")
+    assert about("phantom-default") in readme
 
 
 def test_patients_stand_first():

@@ -17,20 +17,6 @@ from racines_models.statistics.intervals import LEVEL, Interval, difference
 
 FIRST = ("patients", "beating")
 """Boards that stand before the others."""
-ABOUT = {
-    "patients": "Find a view of the heart on patients whom nobody trained on; hearts are still.",
-    "beating": "The same search while hearts beat and chests breathe.",
-    "phantom-default": "One simulated heart at the settings of the profile default: draw its "
-    "images, or find a view of it.",
-    "phantom-reference": "One simulated heart at the settings of the profile reference: draw its "
-    "images, or find a view of it.",
-    "echo-rotation": "Draw held-out turns of one recorded real heart: n = 1 patient.",
-    "echo-interpolation": "The same of turns in narrow blocks, close to those of training.",
-    "trackerless": "Estimate the motion of the probe from images alone.",
-    "trackerless-rotation": "The same of turns about the apex of one recorded real heart: angles.",
-    "trackerless-tracked": "The same of two recorded sweeps of phantoms, tracked in millimetres.",
-}
-UNKNOWN = "Results on one dataset."
 
 
 @dataclass(frozen=True)

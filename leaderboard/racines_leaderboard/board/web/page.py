@@ -9,6 +9,7 @@ from string import Template
 from racines_data.errors import RacinesError
 from racines_data.escape import html, json_in_html
 from racines_data.files import write_atomic
+from racines_leaderboard.board.about import about
 from racines_leaderboard.board.rank import Ranked, tied, verdict_of
 from racines_leaderboard.board.table import (
     REPORTED,
@@ -20,8 +21,6 @@ from racines_leaderboard.board.table import (
     steady,
 )
 from racines_leaderboard.board.web.content import (
-    ABOUT,
-    UNKNOWN,
     Section,
     axis_of,
     kind_of,
@@ -82,7 +81,7 @@ def _board(board: str, sections: Sequence[Section], key: str, results: Path) -> 
     found = found_by_view(list(sections))
     parts = [
         f'<section class="board" id="{key}" aria-labelledby="{key}-h">',
-        f'<h2 id="{key}-h">{html(board)}</h2><p>{html(ABOUT.get(board, UNKNOWN))}</p>',
+        f'<h2 id="{key}-h">{html(board)}</h2><p>{html(about(board))}</p>',
     ]
     for place, section in enumerate(sections):
         parts.append(_section(section, f"{key}-{place}", results, found))
