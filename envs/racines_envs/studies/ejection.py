@@ -2,9 +2,6 @@
 
     probe held where the agent ended, for a beat ── 25 pictures ── outlines ── disks ── EDV, ESV, EF
 
-Beside volumes it tells how long the ventricle is in the plane: a plane that misses the apex shows
-it foreshortened.
-
 The same is done with the true outlines in place of the judge's, and with the planner's pose, who is
 told where the view is, in place of the agent's. What the planner's true outlines miss is geometry:
 one plane and round disks. What the agent's true outlines miss beyond that is the view; what the
@@ -67,11 +64,9 @@ FRAMES = 25
 STREAM = 457
 OUTLINES, POSES = ("judge", "truth"), ("agent", "planner")
 FIGURES = {
-    "end_diastolic_volume": ("mL", np.inf),
-    "end_systolic_volume": ("mL", np.inf),
-    "ejection_fraction": ("%", 100.0),
-    "long_axis": ("mm", np.inf),
-}
+    "end_diastolic_volume": ("mL", np.inf), "end_systolic_volume": ("mL", np.inf),
+    "ejection_fraction": ("%", 100.0), "long_axis": ("mm", np.inf),
+}  # fmt: skip
 """What is told of a beat: its unit, and the most that it can be."""
 INKS = (OURS, PAPER)
 

@@ -8,19 +8,28 @@ import numpy as np
 import polars as pl
 import pytest
 import torch
+from matplotlib.figure import Figure
 from PIL import Image, ImageDraw
 from torch import Tensor
 from typer.testing import CliRunner
 
 from racines_data.errors import RacinesError
 from racines_leaderboard.cli.command import app
+from racines_models.judges.grader.model import Grader, GraderConfig
 from racines_models.judges.segmentation.model import (
     SegmentationConfig,
     SegmentationJudge,
     SegmentationNetwork,
 )
+from racines_models.networks.grading import GraderNetwork
 from racines_models.protocol import Judge
 from racines_models.studies.realism.patients import patient_lists
+from racines_models.studies.sim_to_real.charts import (
+    Turned,
+    ejection_figure,
+    shares_figure,
+    turns_figure,
+)
 from racines_models.studies.sim_to_real.controls import CONTROLS, scrambled
 from racines_models.studies.sim_to_real.figures import draw
 from racines_models.studies.sim_to_real.frames import read_frames, read_masks, read_real_echo
@@ -154,13 +163,14 @@ def test_the_report_holds_lists_apart_and_the_controls_beside(echo):
     assert content["other_views"]["others_called_a4c"]["n"] == 2
     assert content["rotation"]["turns"] == 3 and content["rotation"]["patients"] == 1
     assert content["rotation"]["sectors"]["between"]["frames"] == 2
+    assert sum(each["frames"] for each in content["rotation"]["bins"]) == 6  # 180° is in one too
     volumes = content["volumes"]["reporting"]
     assert volumes["ejection_fraction"]["bias"]["value"] > 0
     assert volumes["end_diastolic_volume"]["bias"]["value"] == 0
     assert len(volumes["ejection_fraction"]["pairs"]) == 5
     assert content["overlap"]["tuning"]["dice_lv"]["value"] < 1.0
     drawn = draw(real, measured, outliner)
-    assert set(drawn) == {"", "-acceptance", "-ejection"}
+    assert set(drawn) == {"", "-acceptance", "-turns", "-ejection"}
     assert all(each[:4] == b"\x89PNG" for each in drawn.values())
 
 
@@ -223,6 +233,62 @@ def test_the_command_tells_tables_and_json(echo, tmp_path, monkeypatch):
     assert json.loads(Path("it.json").read_text(encoding="utf-8")) == content
     shown = CliRunner().invoke(app, [*words, "--segmentation", "models/runs/segmentation"]).stdout
     assert "dice_lv_myocardium" in shown and "reporting" in shown and "it-ejection.png" in shown
+
+
+def test_the_command_writes_the_charts_beside_the_report(echo, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    config = GraderConfig(input_size=32, width=0.125, bf16=False)
+    Grader(GraderNetwork(32, 0.125), config).save(Path("grader"))
+    words = ["study", "sim-to-real", "--real", str(echo), "--grader", "grader", "--out", "it"]
+    shown = CliRunner().invoke(app, words).stdout
+    for name in ("it-acceptance.png", "it-turns.png"):
+        assert name in shown and Image.open(name).width > 600
+
+
+def test_charts_hold_pixels_of_a_rotation_alone(echo):
+    real = read_real_echo(echo)
+    assert real.rotation is not None and real.drawn is not None
+    measured = measure(real, Bright(), Outliner(real.drawn.masks))
+    acceptance, called = measured.content["acceptance"], measured.answers.turns
+    assert called is not None
+    turned = Turned(called, measured.content["rotation"])
+    figures = [
+        shares_figure(acceptance),
+        ejection_figure(measured.content["volumes"]),
+        shares_figure(acceptance, real.rotation),
+        turns_figure(real.rotation, {"one": turned, "another": turned}),
+    ]
+    assert [len(pixels(figure)) for figure in figures] == [0, 0, 4, 3]
+    for image in pixels(figures[3]):
+        assert any((each.numpy() == image).all() for each in real.rotation.images)
+    assert "-turns" not in draw(real._replace(rotation=None), measured)
+
+
+def pixels(figure: Figure) -> list[np.ndarray]:
+    """Return the images in a figure."""
+    return [np.asarray(each.get_array()) for axes in figure.axes for each in axes.images]
+
+
+def test_shares_of_turns_are_not_joined_over_those_that_nobody_recorded(echo):
+    real = read_real_echo(echo)
+    measured = measure(real, Bright())
+    assert real.rotation is not None and measured.answers.turns is not None
+    turned = Turned(measured.answers.turns, measured.content["rotation"])
+    line = turns_figure(real.rotation, {"one": turned}).axes[0].lines[0]
+    seen = np.isfinite(np.asarray(line.get_ydata(), float))
+    assert seen.sum() == 3 and not (seen[1:] & seen[:-1]).any()
+
+
+def test_a_chart_marks_each_list_and_whom_it_leaves_out():
+    pairs = {"a": [50.0, 60.0], "b": [-30.0, 55.0], "c": [None, 50.0], "d": [40.0, 45.0]}
+    fraction = {"patients": 2, "not_seen": 1, "impossible": 1, "pairs": pairs}
+    names = ("tuning", "reporting", "unlisted")
+    volumes = {name: {"ejection_fraction": fraction} for name in names}
+    axes = ejection_figure(volumes).axes
+    assert len(axes) == 1 + len(names)
+    drawn = [(line.get_marker(), len(np.asarray(line.get_xdata()))) for line in axes[0].lines[1:]]
+    assert drawn == [("o", 2), ("|", 1), ("s", 2), ("|", 1), ("^", 2), ("|", 1)]
+    assert axes[0].get_legend_handles_labels()[1][0] == "tuning: 2 patients; ticks: 1 below 0"
 
 
 def test_the_shared_frames_and_masks_lie_over_each_other():

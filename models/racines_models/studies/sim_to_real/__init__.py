@@ -1,7 +1,7 @@
 """From simulation to reality: what judges that saw simulated patients alone say of real frames.
 
 `frames` reads real echo, `sectors` and `controls` lay it out and spoil it; `acceptance`, `ejection`
-and `report` measure, `figures` draw.
+and `report` measure, `charts` and `figures` draw.
 """
 
 import lazy_loader

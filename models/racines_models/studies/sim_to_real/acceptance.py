@@ -102,6 +102,7 @@ def accepted_turns(called: Called, rotation: Rotation, labels: tuple[str, ...]) 
     """Return acceptance against the turn from A4C: one heart, so no interval is given."""
     hits = called.label == labels.index(VIEW)
     away = np.abs(rotation.angle)
+    angle = np.where(rotation.angle < 180.0, rotation.angle, -180.0)  # the same turn, in a bin
 
     def summed(inside: np.ndarray) -> dict[str, Any]:
         told: dict[str, Any] = {"frames": int(inside.sum())}
@@ -113,8 +114,7 @@ def accepted_turns(called: Called, rotation: Rotation, labels: tuple[str, ...]) 
 
     ends = np.arange(-180.0, 180.0, BIN)
     bins = [
-        {"from": low, "to": low + BIN}
-        | summed((rotation.angle >= low) & (rotation.angle < low + BIN))
+        {"from": low, "to": low + BIN} | summed((angle >= low) & (angle < low + BIN))
         for low in ends.tolist()
     ]
     sectors = {

@@ -1,6 +1,6 @@
-"""The pictures of the report: what is called A4C, ejection fractions, and frames with outlines."""
+"""The pictures of the report: its charts, and a sheet of frames with what judges say of them."""
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -9,26 +9,19 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from torch import Tensor
 
-from racines_data.plotting import (
-    GREEN,
-    INK,
-    MUTED,
-    NO_VIEW,
-    OURS,
-    PAPER,
-    SMALL,
-    TISSUES,
-    card_style,
-    encode,
-)
+from racines_data.plotting import SMALL, TISSUES, card_style, encode
 from racines_models.judges.segmentation.model import SegmentationJudge
 from racines_models.sample import evenly
 from racines_models.studies.realism.patients import LISTS, UNLISTED, list_of
-from racines_models.studies.sim_to_real.controls import CONTROLS
+from racines_models.studies.sim_to_real.charts import (
+    Turned,
+    ejection_figure,
+    shares_figure,
+    turns_figure,
+)
 from racines_models.studies.sim_to_real.frames import RealEcho
 from racines_models.studies.sim_to_real.report import Measured
 
-COLOURS = {"tuning": NO_VIEW, "reporting": OURS, "unlisted": GREEN}
 OUTLINES = {1: TISSUES["LV"], 2: TISSUES["LV myocardium"], 3: TISSUES["LA"]}
 COLUMNS = 8
 
@@ -40,86 +33,19 @@ def draw(
 
     The judge outlines what no cardiologist did: other views, and planes turned away.
     """
-    content, drawn = measured.content, {}
+    content, drawn, rotation = measured.content, {}, real.rotation
     with card_style():
         # Of few colours the grays would take most, and outlines turn into each other.
         drawn[""] = encode(contact_sheet(real, measured, segmentation), few=False)
         if "acceptance" in content:
-            drawn["-acceptance"] = encode(acceptance_figure(real, measured))
+            shares = shares_figure(content["acceptance"], rotation)
+            drawn["-acceptance"] = encode(shares, few=rotation is None)
+        if rotation is not None and measured.answers.turns is not None:
+            turned = Turned(measured.answers.turns, content["rotation"])
+            drawn["-turns"] = encode(turns_figure(rotation, {"the grader": turned}), few=False)
         if "volumes" in content:
             drawn["-ejection"] = encode(ejection_figure(content["volumes"]))
     return drawn
-
-
-def acceptance_figure(real: RealEcho, measured: Measured) -> Figure:
-    """Draw the shares called A4C, and acceptance against the turn where there is a rotation."""
-    turned = real.rotation is not None
-    figure = Figure(figsize=(9.6 if turned else 4.6, 3.6), layout="constrained")
-    panels = np.atleast_1d(figure.subplots(1, 2 if turned else 1))
-    _shares(panels[0], measured.content["acceptance"])
-    if turned:
-        _turns(panels[1], real, measured)
-    return figure
-
-
-def _shares(axes: Axes, acceptance: dict[str, Any]) -> None:
-    width = 0.8 / len(acceptance)
-    for number, (name, controls) in enumerate(acceptance.items()):
-        figures = [controls[control]["called_a4c"] for control in CONTROLS]
-        value, low, high = (
-            np.array([f[key] for f in figures], float) for key in ("value", "low", "high")
-        )
-        at = np.arange(len(figures)) + (number - (len(acceptance) - 1) / 2) * width
-        n = figures[0]["settings"]["units"]
-        axes.bar(at, value, width, color=COLOURS[name], label=f"{name}, {n} patients")
-        ends = np.abs(np.nan_to_num([value - low, high - value]))
-        axes.errorbar(at, value, ends, fmt="none", ecolor=INK, linewidth=0.8)
-    axes.set_xticks(range(len(CONTROLS)), list(CONTROLS))
-    axes.set(ylim=(0, 1), ylabel="share called A4C", title="real A4C frames, shown in four ways")
-    axes.legend()
-
-
-def _turns(axes: Axes, real: RealEcho, measured: Measured) -> None:
-    called, bins = measured.answers.turns, measured.content["rotation"]["bins"]
-    assert real.rotation is not None and called is not None
-    each = f"a frame, n = {len(called.probability)}"
-    axes.scatter(real.rotation.angle, called.probability, 3, MUTED, linewidths=0, label=each)
-    seen = [each for each in bins if each["frames"]]
-    middle = [(each["from"] + each["to"]) / 2 for each in seen]
-    share = [each["called_a4c"] for each in seen]
-    axes.plot(middle, share, "o-", color=PAPER, markersize=3.5, label="share called A4C, by turn")
-    axes.set_xticks(range(-180, 181, 60))
-    axes.set(ylim=(-0.02, 1.02), ylabel="probability of A4C", xlabel="turn from A4C, degrees")
-    axes.set_title(f"one heart, {measured.content['rotation']['turns']} turns about the apex")
-    axes.legend()
-
-
-def ejection_figure(volumes: dict[str, Any]) -> Figure:
-    """Draw the judge's ejection fractions against the cardiologists', twice: Bland and Altman."""
-    figure = Figure(figsize=(8.4, 3.6 * len(volumes)), layout="constrained")
-    rows = figure.subplots(len(volumes), 2, squeeze=False)
-    for (left, right), (name, told) in zip(rows, volumes.items(), strict=True):
-        fraction = told["ejection_fraction"]
-        pairs = [each for each in fraction["pairs"].values() if None not in each]
-        pairs = [each for each in pairs if 0.0 <= each[0] <= 100.0]
-        found, truth = np.array(pairs, float).reshape(-1, 2).T
-        left.plot([0, 100], [0, 100], ":", color=MUTED, linewidth=0.8)
-        left.scatter(truth, found, 9, COLOURS[name])
-        left.set(xlim=(0, 100), ylim=(0, 100), xlabel="cardiologists, %", ylabel="judge, %")
-        left.set_title(f"ejection fraction, one plane: {name}")
-        right.scatter((found + truth) / 2, found - truth, 9, COLOURS[name])
-        for key in ("lower_limit", "bias", "upper_limit"):
-            if key in fraction:
-                style = "-" if key == "bias" else "--"
-                line = fraction[key]
-                right.axhline(line["value"], color=PAPER, linewidth=0.9, linestyle=style)
-                if line["low"] is not None:
-                    right.axhspan(line["low"], line["high"], color=PAPER, alpha=0.12, linewidth=0)
-        right.set(xlabel="mean of both, %", ylabel="judge less cardiologists, % points")
-        right.set_title(
-            "{patients} patients; {not_seen} not seen, {impossible} impossible".format(**fraction)
-        )
-    return figure
 
 
 class Tile(NamedTuple):
