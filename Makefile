@@ -111,7 +111,7 @@ bench: $(READY) ## measure speed; run alone, on a quiet machine
 	OMP_NUM_THREADS=$$(nproc) pytest tests/benchmarks -n 0 --benchmark-only
 
 # It sets nothing up: a machine with a GPU has its own PyTorch, and often no network.
-gpu: ## measure one GPU and train the paper's agent and generators on it; goes on where it stopped. BUDGET=25m DEVICE=cuda OUT= PARTS=
+gpu: ## measure one GPU; train the paper's agent and generators, and agents on patients; goes on where it stopped. BUDGET=25m DEVICE=cuda OUT= PARTS=
 	PYTHONPATH=.:models:envs:leaderboard$${PYTHONPATH:+:$$PYTHONPATH} $(PYTHON) -m tests.benchmarks.gpu --budget $(or $(BUDGET),25m) \
 	--device $(or $(DEVICE),cuda) $(if $(OUT),--out $(OUT)) $(if $(PARTS),--parts $(PARTS))
 

@@ -158,7 +158,9 @@ def test_a_command_that_fails_or_takes_too_long_says_so(tmp_path: Path):
 def test_the_whole_order_of_parts_and_a_training_that_goes_on(tmp_path: Path):
     assert run(tmp_path) == 0
     parts = kept(tmp_path)["parts"]
-    assert list(parts) == [*MEASURED, "agent-SC", "data", "generator-vae-gan"]
+    grid = "grid-constant-pose"
+    assert list(parts) == [*MEASURED, "agent-SC", "data", "generator-vae-gan", grid]
+    assert set(parts[grid]["figures"]["found"]) == {"A4C-patients", "A4C-beating"}
     assert {part["state"] for part in parts.values()} == {"done"}
     assert parts["agent-SC"]["figures"]["frames"] == 8
     assert len(parts["agent-SC"]["figures"]["history"]) == 2

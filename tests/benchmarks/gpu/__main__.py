@@ -1,4 +1,4 @@
-"""Measure one GPU and train the paper's agent and generators on it, in order of value.
+"""Measure one GPU; train the paper's agent and generators, and agents on patients; by value.
 
     make gpu                      half an hour; run it again to go on where it stopped
     make gpu BUDGET=10m OUT=gpu.json
@@ -86,7 +86,7 @@ def measure(options: argparse.Namespace) -> int:
 
 def parts(device: str, sizes: Any, work: Path, end: float) -> dict[str, tuple[Part, float]]:
     """Return the parts in order of value, each with the share of what is left that it may take."""
-    from tests.benchmarks.gpu import speeds, training
+    from tests.benchmarks.gpu import patients, speeds, training
     from tests.benchmarks.gpu.correctness import correctness
 
     def at_once(work: Callable[..., dict[str, Any]], *more: Any) -> Part:
@@ -104,6 +104,8 @@ def parts(device: str, sizes: Any, work: Path, end: float) -> dict[str, tuple[Pa
     found["data"] = partial(training.data, device, sizes, work), 1.0
     for name in sizes.generators:
         found[f"generator-{name}"] = partial(training.generator, name, device, sizes, work), 1.0
+    for name in sizes.patients:
+        found[f"grid-{name}"] = partial(patients.grid, name, device, sizes, work), 1.0
     return found
 
 

@@ -53,6 +53,10 @@ ROWS = (
         (f"images that `{name}` learned from", f"generator-{name}", "images", "10,100,000", ",.0f")
         for name in Sizes.generators
     ),
+    *(
+        (f"`{name}` on patients, ten tasks", f"grid-{name}", "mean", "", ".0%")
+        for name in Sizes.patients
+    ),
 )
 """Of the page's table: what, the part and its figure, the aim, and how it is written."""
 

@@ -1,7 +1,10 @@
 """How large each part is: on a GPU, and so small that a test runs all of them on a CPU."""
 
+import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+
+_SEVERAL = {"processes": max(1, (os.cpu_count() or 1) - 3)}
 
 
 @dataclass(frozen=True)
@@ -34,12 +37,23 @@ class Sizes:
     profile: str = "paper"
     """Whose dataset and generators are made."""
     generators: tuple[str, ...] = ("vae-gan", "residual-cgan", "attention-cgan", "cgan", "stylegan")
+    patients: tuple[str, ...] = ("servo-full", "servo-memory", "ppo-belief")
+    """Agents of the grid on patients, entries of the profile `reference`."""
+    goals: int = 5
+    """So many views of the grid, the first; each on still and on beating hearts."""
+    learning: Mapping[str, Mapping[str, object]] = field(
+        default_factory=lambda: dict.fromkeys(("servo-full", "servo-memory"), _SEVERAL)
+    )
+    """Beside the profile's settings of an agent: what is drawn for it is drawn by many at once."""
+    judging: Mapping[str, object] = field(default_factory=dict)
+    """Beside those by which they are judged."""
 
 
 TINY = Sizes(
     poses=2, scenes=1, hearts=0, rows=3, steps=4, render=(2,), images=(2,), params=(2, 4),
     seconds=0.0, ppo=((2, 4),), updates=1, ppo_minibatch=4, views=("SC",), profile="smoke",
-    generators=("vae-gan",),
+    generators=("vae-gan",), patients=("constant-pose",), goals=1, learning={"constant-pose": {"patients": 2}},
+    judging={"split": "validation", "patients": 1, "starts": 1},
     agent={
         "frames": 8, "envs": 2, "update_every": 4, "minibatch": 4, "epochs": 1,
         "validate_every": 4, "validation_starts": 1, "termination": "first_hit",
