@@ -53,7 +53,8 @@ TINY = Sizes(
     poses=2, scenes=1, hearts=0, rows=3, steps=4, render=(2,), images=(2,), params=(2, 4),
     seconds=0.0, ppo=((2, 4),), updates=1, ppo_minibatch=4, views=("SC",), profile="smoke",
     generators=("vae-gan",), patients=("constant-pose",), goals=1,
-    learning={"constant-pose": {"patients": 2}}, judging={"split": "validation", "patients": 1, "starts": 1},
+    learning={"constant-pose": {"patients": 2}},
+    judging={"split": "validation", "patients": 1, "starts": 1},
     agent={
         "frames": 8, "envs": 2, "update_every": 4, "minibatch": 4, "epochs": 1,
         "validate_every": 4, "validation_starts": 1, "termination": "first_hit",
