@@ -9,7 +9,7 @@ import torch
 from racines_data.phantom import shared_phantom
 from racines_data.randomness import sample_seeds
 from racines_models.scores.metrics import frechet_distance
-from tests.benchmarks import aims, limits, lines, test_steps, tried
+from tests.benchmarks import aims, growth, limits, lines, test_steps, tried
 from tests.benchmarks.lines import Line, line_of
 from tests.benchmarks.peers.convolution import Convolution
 from tests.benchmarks.peers.rays import Rays
@@ -129,3 +129,11 @@ def test_a_way_pays_where_it_is_quicker_in_every_round_and_draws_the_same():
     assert tried.verdict(told | {"prepared_seconds": 20.1}, 1) == "pays, after 20 s"
     assert tried.verdict(told | {"low": 0.9}, 1) == "does not pay"
     assert tried.verdict({"failed": "not compiled within 60 s"}, 1) == "not compiled within 60 s"
+
+
+def test_a_part_that_does_not_grow_has_no_exponent():
+    flat = {"seconds": [0.44, 0.41, 0.44], "fixed": 0.1, "exponent": 3.0}
+    assert growth.law_of("pool, hearts", flat) == ("all", "– (flat)")
+    grown = {"seconds": [1.0, 2.0, 4.0], "fixed": 0.0, "exponent": 1.0}
+    assert growth.law_of("build, frames", grown) == ("0.00", "1.00")
+    assert growth.law_of(next(iter(growth.PAIRS)), grown)[1] == "1.00 (every pair)"

@@ -3,7 +3,8 @@
 OMP_NUM_THREADS=1 python -m tests.benchmarks.growth docs/results/growth.json [PART...]
 
 CPU seconds of one thread, so that other work on the machine counts little. To the times t of sizes
-n is fitted t = a + b nᵏ: a is what a run costs at any size, k the exponent. The largest memory of
+n is fitted t = a + b nᵏ: a is what a run costs at any size, k the exponent. Where the largest size
+costs hardly more than the smallest, nothing is fitted: the part is flat. The largest memory of
 the process is told beside; it never falls, so a part that holds more and more shows. A
 quarter of an hour; the parts that are named are measured, the others kept.
 """
@@ -52,6 +53,9 @@ RECORDS = (10, 100, 1_000, 10_000)
 FRAMES = 256  # drawn of each pool of hearts
 ROUNDS, ENOUGH = 5, 30.0
 """Runs of a size, and CPU seconds after which no further one is begun."""
+FLAT = 1.3
+"""Times the cost at the smallest size, below which that at the largest is no growth: the exponent
+of so small a difference would be one of noise."""
 Part = Callable[[Path], Iterator[tuple[int, Callable[[], object]]]]
 """Yields sizes, and the work of each."""
 
@@ -199,6 +203,11 @@ def drawn(content: dict[str, Any]) -> None:
     assert board_tables(BOARD, content)
 
 
+def is_flat(seconds: list[float]) -> bool:
+    """Return whether the cost hardly grew from the smallest size to the largest."""
+    return seconds[-1] < FLAT * seconds[0]
+
+
 def fitted(sizes: list[int], seconds: list[float]) -> tuple[float, float]:
     """Return what a run costs at any size, s, and the exponent of the rest."""
     n, t = np.array(sizes) / max(sizes), np.array(seconds)
@@ -224,7 +233,8 @@ def measure(part: Part, folder: Path) -> dict[str, Any]:
         told["seconds"].append(round(min(took), 3))
         most = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
         told["megabytes"].append(round(most))
-    told["fixed"], told["exponent"] = fitted(told["sizes"], told["seconds"])
+    if not is_flat(told["seconds"]):
+        told["fixed"], told["exponent"] = fitted(told["sizes"], told["seconds"])
     return told
 
 
@@ -238,7 +248,15 @@ def main(out: Path, *names: str) -> None:
                 continue
             kept[name] = measure(part, Path(folder))
             print(name, kept[name], flush=True)
-            write_json(out, document_of(kept))
+            write_json(out, document_of({each: kept[each] for each in PARTS if each in kept}))
+
+
+def law_of(name: str, part: dict[str, Any]) -> tuple[str, str]:
+    """Return what a part costs at any size, and its exponent, as the table says it."""
+    if is_flat(part["seconds"]):
+        return "all", "– (flat)"
+    pairs = " (every pair)" if name in PAIRS else ""
+    return f"{part['fixed']:.2f}", f"{part['exponent']:.2f}{pairs}"
 
 
 def document_of(parts: dict[str, Any]) -> dict[str, Any]:
@@ -246,8 +264,7 @@ def document_of(parts: dict[str, Any]) -> dict[str, Any]:
     columns = ["what", "sizes", "CPU seconds", "of which at any size", "exponent", "memory, MB"]
     rows = [
         [name, f"{each['sizes'][0]:,} – {each['sizes'][-1]:,}",
-         f"{each['seconds'][0]:.3g} – {each['seconds'][-1]:.3g}", f"{each['fixed']:.2f}",
-         f"{each['exponent']:.2f}" + (" (every pair)" if name in PAIRS else ""),
+         f"{each['seconds'][0]:.3g} – {each['seconds'][-1]:.3g}", *law_of(name, each),
          f"{each['megabytes'][0]:,} – {each['megabytes'][-1]:,}"]
         for name, each in parts.items()
     ]  # fmt: skip

@@ -1,21 +1,24 @@
 """What precision and `torch.compile` bring, and what logs and checkpoints of a training cost.
 
-    OMP_NUM_THREADS=1 python -m tests.benchmarks.trainer docs/results/trainer.json
+    OMP_NUM_THREADS=1 python -m tests.benchmarks.trainer docs/results/trainer.json [PART...]
 
 Each generator is trained for some steps in each way, one after the other, in turns. A rate is that
 of the median step; what the first steps took beyond it is told as preparation. The share of logs,
-validation and checkpoints is their time at the default intervals beside that of the steps between.
-Of the environments the oracle and the contact of 64 probes are compiled.
+validation and checkpoints is their time at the default intervals beside that of the steps between;
+of PPO, beside that of acting and learning. Of the environments the oracle and the contact of 64
+probes are compiled. The parts that are named (a generator, `ppo`, `truth`) are measured, the others
+kept.
 """
 
-import argparse
-import os
+import json
 import statistics
+import sys
 import tempfile
 import time
 from collections import defaultdict
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 from unittest.mock import patch
@@ -29,42 +32,58 @@ from racines_data.config import fill
 from racines_data.files import write_json
 from racines_data.geometry import Pose
 from racines_data.store.frames import FrameStore, open_store
+from racines_envs.agents.ppo import PPOAgent, PPOConfig
+from racines_envs.agents.training import TrainingRun
 from racines_models.devices import has_bfloat16
 from racines_models.protocol import Run
 from racines_models.provenance import environment
 from racines_models.registry import generator_class
 from racines_models.training import log, trainer
+from racines_models.training.checkpoint import Checkpoint
 from racines_models.training.objective import Training
 from tests.benchmarks.turns import in_turns, rate
 
 NAMES = ("vae-gan", "flow")
-WAYS = {"float32": ("fp32", "no"), "bfloat16": ("bf16", "no"), "compiled": ("fp32", "inductor")}
-"""By name the precision, and accelerate's backend of `torch.compile`."""
+PARTS = (*NAMES, "ppo", "truth")
+WAYS = {"float32": ("fp32", False), "bfloat16": ("bf16", False), "compiled": ("fp32", True)}
+"""By name the precision, and whether the networks are compiled."""
 ROUNDS, STEPS, FIRST, BATCH = 2, 20, 5, 16
-DEFAULT = Training()
+DEFAULT, POLICY = Training(), PPOConfig()
 EVERY = {
     "log": DEFAULT.log_every,
     "validation": DEFAULT.sample_every,
     "checkpoint": DEFAULT.checkpoint_every,
 }
+EVERY_FRAMES = {
+    "log": POLICY.update_every,
+    "validation": POLICY.validate_every,
+    "checkpoint": POLICY.validate_every,
+}
+"""Images, and environment steps of PPO, between two of each."""
+SOME = 2 * POLICY.update_every
+"""Environment steps between two validations of the PPO that is measured."""
+TRAINER = (
+    ("step", trainer._Trainer, "step"), ("log", log.TrainingLog, "row"),
+    ("validation", trainer._Trainer, "look"),
+    ("checkpoint", trainer._Trainer, "write_checkpoint"),
+)  # fmt: skip
+ACTING = (
+    ("loop", TrainingRun, "_loop"), ("log", TrainingRun, "_log"),
+    ("validation", TrainingRun, "_validate"), ("checkpoint", Checkpoint, "write"),
+)  # fmt: skip
 Seconds = dict[str, list[float]]
 
 
-def main() -> None:
-    """Measure, and write the file."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("out", type=Path)
-    out = parser.parse_args().out
-    figures: dict[str, Any] = {"units": has_bfloat16("cpu")}
+def main(out: Path, *names: str) -> None:
+    """Measure the parts, or those that are named, and write the file."""
+    kept = json.loads(out.read_text(encoding="utf-8"))["parts"] if out.is_file() else {}
+    figures: dict[str, Any] = {**kept}
     with tempfile.TemporaryDirectory() as folder:
-        config = DataConfig(frames=1_200, workers=1)
-        build(make_source(config), Path(folder) / "data", config)
-        store = open_store(Path(folder) / "data")
-        for name in NAMES:
-            figures[name] = measured(name, store, Path(folder))
+        for name in names or PARTS:
+            figures[name] = OTHERS[name]() if name in OTHERS else measured(name, Path(folder))
+            if name in NAMES:
+                figures["units"] = has_bfloat16("cpu")
             print(name, figures[name], flush=True)
-    figures["truth"] = of_truth()
-    print(figures["truth"])
     where = environment("cpu")
     write_json(out, {
         "schema": "racines.figures/1",
@@ -77,18 +96,27 @@ def main() -> None:
     })  # fmt: skip
 
 
-def measured(name: str, store: FrameStore, folder: Path) -> dict[str, Any]:
+def dataset(folder: Path) -> FrameStore:
+    """Return a small dataset in a folder; made if it is missing."""
+    config = DataConfig(frames=1_200, workers=1)
+    if not (folder / "data").is_dir():
+        build(make_source(config), folder / "data", config)
+    return open_store(folder / "data")
+
+
+def measured(name: str, folder: Path) -> dict[str, Any]:
     """Return a generator's figures."""
+    store = dataset(folder)
     told: dict[str, list[Seconds]] = {way: [] for way in WAYS}
     for turn in range(ROUNDS):
-        for way, (precision, backend) in WAYS.items():
+        for way, (precision, compiled) in WAYS.items():
             run = Run(folder / f"{name}-{way}-{turn}", 0, "cpu", False, progress=False)
             settings = {"images": STEPS * BATCH, "batch_size": BATCH, "precision": precision}
             settings |= {"log_every": FIRST * BATCH, "sample_every": FIRST * BATCH}
-            settings |= {"checkpoint_every": FIRST * BATCH}
+            settings |= {"checkpoint_every": FIRST * BATCH, "compile": compiled}
             cls: Any = generator_class(name)
             generator = cls(fill(cls.Config, {"training": settings}, name))
-            with timed() as seconds, patch.dict(os.environ, ACCELERATE_DYNAMO_BACKEND=backend):
+            with timed(TRAINER) as seconds:
                 generator.fit(store, run)
             told[way].append(seconds)
     figures: dict[str, Any] = {}
@@ -108,6 +136,23 @@ def measured(name: str, store: FrameStore, folder: Path) -> dict[str, Any]:
         for what, every in EVERY.items()
     }
     return figures
+
+
+def of_ppo() -> dict[str, Any]:
+    """Return the share of what PPO, which learns from the pose, tells and keeps."""
+    config = replace(POLICY, frames=8 * SOME, validate_every=SOME)
+    with tempfile.TemporaryDirectory() as folder, timed(ACTING) as seconds:
+        PPOAgent.train(config, Path(folder), progress=False)
+    apart = [
+        one - other for one, other in zip(seconds["validation"], seconds["checkpoint"], strict=True)
+    ]
+    frames = config.frames / (sum(seconds["loop"]) - sum(seconds["log"] + seconds["validation"]))
+    seconds["validation"] = apart  # it ends with the checkpoint
+    share = {
+        what: statistics.median(seconds[what]) * frames / every
+        for what, every in EVERY_FRAMES.items()
+    }
+    return {"share": share}
 
 
 def of_truth() -> dict[str, float]:
@@ -136,9 +181,12 @@ def of_truth() -> dict[str, float]:
     return told | {"apart": max(apart), "preparation_seconds": ready}
 
 
+OTHERS: dict[str, Callable[[], dict[str, Any]]] = {"ppo": of_ppo, "truth": of_truth}
+
+
 @contextmanager
-def timed() -> Iterator[Seconds]:
-    """Time each step of the trainer, row of the log, look and checkpoint within the block."""
+def timed(parts: Iterable[tuple[str, type, str]]) -> Iterator[Seconds]:
+    """Time each call of some methods, each by a name of its own, within the block."""
     seconds: Seconds = defaultdict(list)
 
     def wrapped(what: str, call: Callable[..., Any]) -> Callable[..., Any]:
@@ -151,19 +199,10 @@ def timed() -> Iterator[Seconds]:
 
         return work
 
-    own = trainer._Trainer
-    parts = (
-        ("step", own, "step"), ("log", log.TrainingLog, "row"),
-        ("validation", own, "look"), ("checkpoint", own, "write_checkpoint"),
-    )  # fmt: skip
-    held = [patch.object(cls, name, wrapped(what, getattr(cls, name))) for what, cls, name in parts]
-    for each in held:
-        each.start()
-    try:
+    with ExitStack() as held:
+        for what, cls, name in parts:
+            held.enter_context(patch.object(cls, name, wrapped(what, getattr(cls, name))))
         yield seconds
-    finally:
-        for each in held:
-            each.stop()
 
 
 def ways_table(figures: dict[str, Any]) -> dict[str, Any]:
@@ -181,10 +220,10 @@ def shares_table(figures: dict[str, Any]) -> dict[str, Any]:
     """Return the table of what is not training."""
     rows = [
         [f"`{name}`", *(f"{100 * figures[name]['share'][what]:.2f} %" for what in EVERY)]
-        for name in NAMES
+        for name in (*NAMES, "ppo")
     ]
-    return {"columns": ["generator", *EVERY], "right": 1, "rows": rows}
+    return {"columns": ["training", *EVERY], "right": 1, "rows": rows}
 
 
 if __name__ == "__main__":
-    main()
+    main(Path(sys.argv[1]), *sys.argv[2:])

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 
@@ -35,6 +35,8 @@ class Training:
     precision: str = "auto"
     """`fp32`; mixed `bf16` or `fp16`; or `auto`: bf16 where the processor has units for it (CUDA;
     AMX on a CPU, 1.8 times the images a second), else fp32."""
+    compile: bool = field(default=False, kw_only=True)
+    """Compile the networks' passes with `torch.compile`; on a CPU this needs a C++ compiler."""
     ema: float = 0.999
     """Decay of the averaged weights that draw and are saved, warmed up; 0 switches it off."""
     gradient_clip: float = 0.0

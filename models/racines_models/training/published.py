@@ -20,6 +20,8 @@ from racines_models.weights import read_described
 WEIGHTS = Path("models/weights")
 DECIDE_NOTHING = ("repeats", "log_every", "sample_every", "checkpoint_every")
 """Settings of a training's loop that leave its weights as they are."""
+LATER = {"compile": False}
+"""Settings of the loop that came later, as older trainings had them."""
 
 
 def published_seeds(board: str | None, first: Path, weights: Path = WEIGHTS) -> list[Path]:
@@ -52,7 +54,8 @@ def published_seeds(board: str | None, first: Path, weights: Path = WEIGHTS) -> 
 def _made_of(described: dict[str, Any], seed: Any) -> dict[str, Any]:
     """Return what a training rests on, by key."""
     config = dict(described.get("config") or {})
-    loop = {f"training.{k}": v for k, v in (config.pop("training", None) or {}).items()}
+    trained = LATER | (config.pop("training", None) or {})
+    loop = {f"training.{key}": each for key, each in trained.items()}
     loop = {key: each for key, each in loop.items() if key.split(".")[1] not in DECIDE_NOTHING}
     data = (described.get("data") or {}).get("recipe_digest")
     return config | loop | {"name": described.get("name"), "data": data, "seed": seed}

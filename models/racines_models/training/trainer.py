@@ -268,6 +268,19 @@ def resolve_precision(precision: str, device: str) -> str:
     return "bf16" if torch.cuda.is_bf16_supported() else "fp32"
 
 
+def check_compiler(device: str) -> None:
+    """Refuse to compile for a CPU where PyTorch finds no C++ compiler, before anything trains."""
+    from torch._inductor.cpp_builder import get_cpp_compiler
+    from torch._inductor.exc import InvalidCxxCompiler
+
+    try:
+        if device == "cpu":
+            get_cpp_compiler()
+    except InvalidCxxCompiler as error:
+        remedy = "install one (g++), name it in CXX, or leave training.compile false"
+        raise RacinesError(f"training.compile: no C++ compiler was found: {remedy}") from error
+
+
 def _accelerator(config: Training, run: Run) -> "Accelerator":
     needed("accelerate", "training")
     from accelerate import Accelerator
@@ -279,7 +292,10 @@ def _accelerator(config: Training, run: Run) -> "Accelerator":
     if run.device.startswith("cuda:"):
         torch.cuda.set_device(run.device)  # accelerate takes the current one
     mixed = "no" if precision == "fp32" else precision
+    if config.compile:
+        check_compiler(run.device)
+    compiled = "inductor" if config.compile else None  # None: as accelerate's environment says
     try:
-        return Accelerator(cpu=run.device == "cpu", mixed_precision=mixed)
+        return Accelerator(cpu=run.device == "cpu", mixed_precision=mixed, dynamo_backend=compiled)
     except ValueError as error:  # a device without bfloat16
         raise RacinesError(f"{mixed}: {error}; train in fp32 (bf16: false)") from error

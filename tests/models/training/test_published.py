@@ -39,6 +39,13 @@ def test_they_follow_the_runs_own(tmp_path, first):
     assert seeds(tmp_path, first) == ["seed-2"], "a run's own stands before a published one"
 
 
+def test_a_setting_that_came_later_is_as_it_was_before(tmp_path):
+    loop = CONFIG["training"] | {"compile": False}
+    first = training(tmp_path / "runs" / "vae-gan", 0, config=CONFIG | {"training": loop})
+    training(tmp_path / "weights" / "b" / "vae-gan" / "seed-1", 1)
+    assert seeds(tmp_path, first) == ["seed-1"]
+
+
 def test_no_seed_is_left_out(tmp_path, first):
     training(tmp_path / "weights" / "b" / "vae-gan" / "seed-2", 2)
     assert seeds(tmp_path, first) == []
@@ -52,6 +59,10 @@ def test_no_seed_is_left_out(tmp_path, first):
         ({"name": "cgan"}, "another name"),
         ({"config": CONFIG | {"width": 5}}, "another width"),
         ({"config": CONFIG | {"training": {"images": 9}}}, "another training.images"),
+        (
+            {"config": CONFIG | {"training": CONFIG["training"] | {"compile": True}}},
+            "another training.compile",
+        ),
     ],
 )
 def test_a_training_of_something_else_does_not_count_and_that_is_said(
