@@ -61,8 +61,8 @@ test-docs-quick: $(READY) ## run the README, and of docs/ all but the pages that
 test-thorough: $(READY) ## run the walk-throughs, long pages of docs/, runs that are killed at any moment, every variant of the rest
 	$(TESTS) -m thorough
 
-test-instruction-sets: $(READY) ## run the contracts of rows, and draw canonical frames, on each instruction set that the CPU has
-	$(TESTS) -m instruction_sets $(call marked,instruction_sets)
+test-instruction-sets: $(READY) ## run the contracts of rows, and draw canonical frames, on other instruction sets of the CPU
+	$(TESTS) -m "instruction_sets and not thorough" $(call marked,instruction_sets)
 
 test-fast: $(READY) ## run the tests that take seconds
 	$(TESTS) -m "not docs and not thorough and not instruction_sets and not slow"

@@ -80,7 +80,9 @@ def test_ci_runs_every_test_once():
     }
     assert chosen == {
         "test": ['"not docs and not thorough and not instruction_sets"'],
-        "test-instruction-sets": ["instruction_sets $(call marked,instruction_sets)"],
+        "test-instruction-sets": [
+            '"instruction_sets and not thorough" $(call marked,instruction_sets)'
+        ],
         "test-docs": ["docs $(call marked,docs)"],
         "test-docs-quick": ['"docs and not thorough" $(call marked,docs)'],
         "test-thorough": ["thorough"],
