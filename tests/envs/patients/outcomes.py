@@ -32,6 +32,7 @@ from racines_envs.task.core import ScanCore
 from racines_envs.task.tasks import get_task
 from racines_envs.worlds.making import make_core
 from racines_envs.worlds.ward import make_ward
+from racines_leaderboard.fresh.flags import read_secret_scores
 from racines_models.statistics import Evidence
 from tests.envs.patients.figures import BOARDS, TIERS, Found, measured, on_boards, percent
 
@@ -213,6 +214,24 @@ def aims(found: Found, gaps: Mapping[str, float]) -> dict[str, Any]:
     return {"columns": ["hearts", "aim", "measured", "met"], "rows": rows}
 
 
+def secret() -> dict[str, Any]:
+    """Return the table of rounds of fresh draws: on the board's patients, and on a round's."""
+    rows = []
+    for tier, told in TIERS.items():
+        for path in sorted((BOARDS / tier / "secret").glob("round-*/patient-agents/*.json")):
+            drawn = read_secret_scores(path, BOARDS)
+            figures = drawn["figures"]
+            cells = [percent(figures["success_declared"][side]) for side in ("public", "secret")]
+            for name, unit in (("position_error_median", "mm"), ("rotation_error_median", "°")):
+                pair = (figures[name][side]["value"] for side in ("public", "secret"))
+                cells.append("{:.1f} and {:.1f} ".format(*pair) + unit)
+            flags = "; ".join(drawn["flags"]) or "none"
+            rows.append([told, f"`{drawn['name']}`", str(drawn["round"]), *cells, flags])
+    columns = ["hearts", "row", "round", "test patients", "fresh patients", "distance", "angle",
+               "flags"]  # fmt: skip
+    return {"columns": columns, "rows": rows}
+
+
 def _met(yes: Any) -> str:
     return "yes" if yes else "no"
 
@@ -290,6 +309,7 @@ def fill(arguments: list[str]) -> None:
         tables["gap"] = {"columns": columns, "rows": list(rows.values())}
     tables |= {"aims": aims(found, figures.get("ahead", {})), "ends": ends(found)}
     tables |= {"pathology": by_pathology(found), "never": never()}
+    tables["secret"] = secret()
     draw_thresholds(THRESHOLDS)
     draw_learning(LEARNING)
     about = {

@@ -28,6 +28,7 @@ def test_the_published_tables_are_those_of_the_boards(found):
     for name, made in (
         ("aims", outcomes.aims(found, ahead)), ("ends", outcomes.ends(found)),
         ("pathology", outcomes.by_pathology(found)), ("never", outcomes.never()),
+        ("secret", outcomes.secret()),
     ):  # fmt: skip
         assert tables[name] == made, f"python -m tests.envs.patients.outcomes: {name}"
 
