@@ -1,0 +1,94 @@
+"""What a policy on the servo's belief needs: memory, lessons, which reward; one left out at a time.
+
+    python -m tests.envs.studies.belief_ablation
+
+A4C of still hearts; three trainings a way, each through another training of the servo. The best
+look of a training is chosen on the first validation patients, and it is judged on others. What is
+trained is kept in `envs/runs/belief-ablation`: a study that was killed goes on.
+"""
+
+import json
+import time
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from racines_data.files import write_json
+from racines_data.patients.splits import seeds_of
+from racines_envs.agents.belief.agent import PPOBeliefAgent, PPOBeliefConfig
+from racines_envs.evaluation.measures import measure_patients, patient_values
+from racines_envs.evaluation.patients import PatientsConfig, StartSet, act_on_patients
+from racines_models.provenance import environment
+from tests.envs.studies.patients_curve import percent
+
+ROOT = Path(__file__).parents[3]
+RESULT = ROOT / "docs/results/belief-ablation.json"
+KEPT = Path("envs/runs/belief-ablation")
+TRAININGS, FRAMES = 3, 102_400
+BASE = PPOBeliefConfig(
+    view="A4C-patients", members=str(ROOT / "envs/weights/servo"), patients=32, frames=FRAMES,
+    imitate=FRAMES // 4, validate_every=FRAMES // 4, validation_starts=50,
+)  # fmt: skip
+WAYS: dict[str, Mapping[str, Any]] = {
+    "all of it": {},
+    "no memory: the last image alone": {"memory": False},
+    "no lessons: reward alone": {"imitate": 0},
+    "lessons alone": {"imitate": FRAMES},
+    "the paper's reward, after the lessons": {
+        "reward": "paper", "grader": str(ROOT / "models/weights/phantom-patients/grader"),
+    },
+    "the oracle's reward, after the lessons": {"reward": "oracle"},
+}  # fmt: skip
+JUDGED = PatientsConfig(view="A4C-patients", split="validation", patients=40, starts=3)
+STARTS = StartSet(tuple(seeds_of("validation")[100 : 100 + JUDGED.patients]), JUDGED.starts, 0)
+SHARES = {"success_declared": "found and declared", "reached": "passed through"}
+
+
+def trained(way: str, seed: int, base: PPOBeliefConfig = BASE) -> PPOBeliefAgent:
+    """Return the policy of a training, trained if it is not kept."""
+    folder = KEPT / f"{list(WAYS).index(way)}-seed-{seed}"
+    if not (folder / "metrics.json").is_file():
+        began = time.perf_counter()
+        config = replace(base, **WAYS[way])
+        PPOBeliefAgent.train(config, folder, seed=seed, progress=False)
+        print(folder, f"{time.perf_counter() - began:.0f} s", flush=True)
+    return PPOBeliefAgent.load(folder)
+
+
+def point(way: str, base: PPOBeliefConfig = BASE, starts: StartSet = STARTS) -> dict[str, Any]:
+    """Return what policies of a way find."""
+    path = KEPT / f"{list(WAYS).index(way)}.json"
+    if not path.is_file():
+        agents = [trained(way, seed, base) for seed in range(TRAININGS)]
+        acted = act_on_patients(agents, replace(JUDGED, view=base.view), starts)
+        metrics, _ = measure_patients(patient_values(acted), starts.units)
+        steps = metrics["episode_steps"]["value"]
+        write_json(path, {"way": way, "steps": steps, **{key: metrics[key] for key in SHARES}})
+        print(path.read_text(encoding="utf-8"), flush=True)
+    return json.loads(path.read_text(encoding="utf-8"))
+
+
+def figures(points: list[dict[str, Any]]) -> dict[str, Any]:
+    """Return the table of the points."""
+    rows = [
+        [each["way"], *(percent(each[key]) for key in SHARES), f"{each['steps']:.0f}"]
+        for each in points
+    ]
+    return {
+        "schema": "racines.figures/1",
+        "what": "policies on the servo's belief with one part left out, A4C of still validation "
+        "patients",
+        "command": "python -m tests.envs.studies.belief_ablation",
+        "machine": f"one core of a shared {environment('cpu')['cpu']}",
+        "source": "measured once",
+        "figures": {
+            "frames": FRAMES, "trainings": TRAININGS, "patients": JUDGED.patients,
+            "starts": JUDGED.starts, "learned": BASE.patients,
+        },
+        "tables": {"ablation": {"columns": ["", *SHARES.values(), "steps"], "rows": rows}},
+    }  # fmt: skip
+
+
+if __name__ == "__main__":
+    write_json(RESULT, figures([point(way) for way in WAYS]))
