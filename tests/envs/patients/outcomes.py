@@ -268,8 +268,18 @@ def decision() -> dict[str, float]:
     return took
 
 
-def gap(path: Path, found: Found) -> tuple[str, list[str], float]:
-    """Return of train scores their tier, a row of the table, and how far they are ahead, points."""
+def ahead_of(tables: Mapping[str, Any]) -> dict[str, float]:
+    """Return by tier how far train patients are ahead, points, where they were scanned."""
+    told = {row[0]: float(row[3]) for row in tables.get("gap", {}).get("rows", [])}
+    return {tier: told[hearts] for tier, hearts in TIERS.items() if hearts in told}
+
+
+def gap(path: Path, found: Found) -> list[str]:
+    """Return the table's row of train scores beside those of test.
+
+    Raises:
+        ValueError: of another split or view, or of other weights than the board's.
+    """
     train = json.loads(path.read_text(encoding="utf-8"))
     task = train["task"]
     tier, view = task["definition"]["tier"], task["definition"]["view"]
@@ -283,7 +293,7 @@ def gap(path: Path, found: Found) -> tuple[str, list[str], float]:
             measured(train["metrics"], "rotation_error", "°")]  # fmt: skip
     ahead = 100 * (train["metrics"]["success_declared"]["value"]
                    - test["success_declared"]["value"])  # fmt: skip
-    return tier, [TIERS[tier], *cells, f"{ahead:+.1f}", *told], round(ahead, 1)
+    return [TIERS[tier], *cells, f"{ahead:+.1f}", *told]
 
 
 def fill(arguments: list[str]) -> None:
@@ -300,14 +310,13 @@ def fill(arguments: list[str]) -> None:
     rows = {row[0]: row for row in tables.get("gap", {}).get("rows", [])}
     for argument in arguments:
         if not argument.startswith("--"):
-            tier, row, ahead = gap(Path(argument), found)
+            row = gap(Path(argument), found)
             rows[row[0]] = row
-            figures.setdefault("ahead", {})[tier] = ahead
     if rows:
         columns = ["hearts", "train patients", "test patients", "points ahead",
                    "distance, train", "angle, train"]  # fmt: skip
         tables["gap"] = {"columns": columns, "rows": list(rows.values())}
-    tables |= {"aims": aims(found, figures.get("ahead", {})), "ends": ends(found)}
+    tables |= {"aims": aims(found, ahead_of(tables)), "ends": ends(found)}
     tables |= {"pathology": by_pathology(found), "never": never()}
     tables["secret"] = secret()
     draw_thresholds(THRESHOLDS)

@@ -24,9 +24,9 @@ def test_shares_within_thresholds_rise_and_above_them_fall():
 
 def test_the_published_tables_are_those_of_the_boards(found):
     told = json.loads(outcomes.RESULT.read_text(encoding="utf-8"))
-    tables, ahead = told["tables"], told["figures"].get("ahead", {})
+    tables = told["tables"]
     for name, made in (
-        ("aims", outcomes.aims(found, ahead)), ("ends", outcomes.ends(found)),
+        ("aims", outcomes.aims(found, outcomes.ahead_of(tables))), ("ends", outcomes.ends(found)),
         ("pathology", outcomes.by_pathology(found)), ("never", outcomes.never()),
         ("secret", outcomes.secret()),
     ):  # fmt: skip
@@ -56,8 +56,9 @@ def test_scores_of_other_patients_or_weights_are_refused(tmp_path, found):
         outcomes.gap(path, found)
     scores["task"]["split"] = "train"
     path.write_text(json.dumps(scores))
-    tier, cells, ahead = outcomes.gap(path, found)
-    assert (tier, cells[3], ahead) == ("patients", "+0.0", 0.0)
+    row = outcomes.gap(path, found)
+    assert row[0] == "still" and row[1] == row[2] and row[3] == "+0.0"
+    assert outcomes.ahead_of({"gap": {"rows": [row]}}) == {"patients": 0.0}
     scores["weights"]["files"] = {"policy.safetensors": "0" * 64}
     path.write_text(json.dumps(scores))
     with pytest.raises(ValueError, match="of other weights"):
