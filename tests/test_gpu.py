@@ -12,7 +12,7 @@ import pytest
 import torch
 
 from racines_models.training.curves import Curves
-from tests.benchmarks.gpu import document, training
+from tests.benchmarks.gpu import document, patients, training
 from tests.benchmarks.gpu.sizes import TINY
 from tests.conftest import ROOT
 
@@ -29,7 +29,7 @@ def kept(folder: Path) -> dict:
     return document.read(folder / "gpu.json")
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_what_is_measured_is_kept_and_not_measured_again(tmp_path: Path, monkeypatch):
     assert run(tmp_path, "--parts", ",".join(MEASURED)) == 0
     content = kept(tmp_path)
@@ -98,6 +98,29 @@ def test_a_training_under_way_tells_how_far_it_is(tmp_path: Path, monkeypatch):
     assert [row["validation/success"] for row in figures["history"]] == [0.1, 0.2, 0.4]
     told = document.curve({"agent-SC": {"figures": figures}})["rows"]
     assert told == [["250,000", "25", "10 %", "150"], ["1,000,000", "100", "40 %", "150"]]
+
+
+def test_a_grid_is_judged_once_all_its_trainings_are_there(tmp_path: Path, monkeypatch):
+    asked: list[str] = []
+
+    def stopped(words: list[str], log: Path, seconds: float) -> bool:
+        asked.append(words[0])
+        if words[0] == "train":  # the first of three trainings is done, and time is over
+            log.mkdir(parents=True, exist_ok=True)
+            (log / "metrics.json").write_text("{}")
+            return len(asked) > 1
+        metric = {"success_declared": {"value": 0.5, "low": 0.4, "high": 0.6}}
+        log.with_suffix(".json").write_text(json.dumps({"runs": 3, "metrics": metric}))
+        return True
+
+    monkeypatch.setattr(patients, "run", stopped)
+    assert patients.grid("servo-full", "cpu", TINY, tmp_path, 60.0) == (False, {})
+    assert asked == ["train"]
+    done, figures = patients.grid("servo-full", "cpu", TINY, tmp_path, 60.0)
+    assert done and figures["trainings"] == 3 and figures["mean"] == 0.5
+    assert asked == ["train", "train", "eval", "eval"]
+    patients.grid("servo-full", "cpu", TINY, tmp_path, 60.0)
+    assert len(asked) == 4, "neither trained nor judged again"
 
 
 def test_another_machines_file_is_refused_and_so_is_no_device(tmp_path: Path, capsys):

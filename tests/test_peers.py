@@ -103,7 +103,7 @@ def test_what_operations_move_and_compute_is_counted():
     assert shifted == {"operations": 1, "bytes": 4 * (24 + 4 + 24), "flops": 2 * 24}
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_the_limits_and_what_was_tried_are_told():
     small = limits.Size(copied=1 << 20, read=1 << 12, product=32, rows=2, hearts=1, rounds=1)
     told = limits.document(small, "limits.json")

@@ -32,7 +32,9 @@ def draw(**environment: str) -> dict:
 
 @pytest.mark.instruction_sets
 @pytest.mark.timeout(3000)
-@pytest.mark.parametrize("name", ["default", "avx2", "avx512"])
+@pytest.mark.parametrize(
+    "name", [pytest.param("default", marks=pytest.mark.thorough), "avx2", "avx512"]
+)
 def test_canonical_frames_are_those_of_every_processor_on_record(name: str) -> None:
     if SETS.get(torch.backends.cpu.get_cpu_capability(), 0) < SETS[name.upper()]:
         pytest.skip(f"this CPU has no {name}")

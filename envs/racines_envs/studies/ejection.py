@@ -27,7 +27,6 @@ from torch import Tensor
 from racines_data.digest import recipe_digest
 from racines_data.errors import RacinesError
 from racines_data.escape import visible
-from racines_data.files import write_json
 from racines_data.geometry import Pose
 from racines_data.patients.labels import LABELS
 from racines_data.patients.pool import Pool
@@ -47,7 +46,7 @@ from racines_envs.evaluation.patients import (
 )
 from racines_envs.evaluation.run import core_for
 from racines_envs.evaluation.told import told_of_agent
-from racines_envs.studies.kept import read_kept
+from racines_envs.studies.kept import Kept
 from racines_envs.task.core import ScanCore
 from racines_envs.task.names import BEATING
 from racines_envs.task.tiers import STEP_SECONDS
@@ -58,7 +57,6 @@ from racines_models.judges.segmentation.structures import relabel, to_camus, to_
 from racines_models.studies.sim_to_real.ejection import agreement, measure_ventricle
 
 SCHEMA = "racines.ejection/1"
-PARTS = "racines.ejection-parts/1"
 FRAMES = 25
 """Pictures of the beat for which the probe is held."""
 STREAM = 457
@@ -145,7 +143,7 @@ def study_ejection(
     report |= {"task": {"view": config.view, "start_set": starts.told(config)}}
     report |= {"phantom": world_of(config), "segmentation": segmentation.settings}
     kept = Kept.open(keep, _identity(report, config), force)
-    parts: list[tuple[Measured, Beat, np.ndarray]] = []
+    parts: list[tuple[Measured, Beat, np.ndarray, Beat]] = []
     for chunk in starts.chunks(config.chunk):
         parts.append(_chunk(agents, config, chunk, segmentation, kept))
         if advance is not None:
@@ -161,8 +159,10 @@ def study_ejection(
         f"{pose}, {outline}": _agreement(own, truth, starts.units)
         for (pose, outline), own in measured.items()
     }
+    held = {pose: measured[pose, "truth"] for pose in POSES}
+    held["nominal"] = [_joined([part[3] for part in parts])]
     report["foreshortening"] = {
-        pose: _foreshortening(measured[pose, "truth"], truth, starts.units) for pose in POSES
+        pose: _foreshortening(own, truth, starts.units) for pose, own in held.items()
     }
     report["errors"] = _errors(measured, truth)
     report["seconds"] = kept.spent + time.perf_counter() - began
@@ -178,44 +178,14 @@ def _identity(report: dict[str, Any], config: EjectionConfig) -> str:
     return recipe_digest(json.loads(json.dumps(parts)))
 
 
-@dataclass
-class Kept:
-    """The parts of a study that are done: rows of numbers by name, in a file where there is one."""
-
-    path: Path | None
-    study: str
-    parts: dict[str, dict[str, list[float | None]]]
-    spent: float
-    """Seconds that earlier runs of the study took."""
-    began: float
-
-    @classmethod
-    def open(cls, path: Path | None, study: str, force: bool) -> "Kept":
-        """Take up what a file holds of a study; raises as `read_kept`."""
-        held = {} if path is None else read_kept(path, study, force)
-        began = time.perf_counter()
-        return cls(path, study, held.get("parts", {}), held.get("seconds", 0.0), began)
-
-    def part(self, name: str, make: Callable[[], dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
-        """Return the (N,) columns of a part, made and kept if it is not there."""
-        if name not in self.parts:
-            made = make()
-            self.parts[name] = {
-                key: [float(value) if np.isfinite(value) else None for value in column]
-                for key, column in made.items()
-            }
-            if self.path is not None:
-                seconds = self.spent + time.perf_counter() - self.began
-                content = {"schema": PARTS, "study": self.study, "parts": self.parts}
-                write_json(self.path, content | {"seconds": seconds})
-        return {key: np.array(row, np.float64) for key, row in self.parts[name].items()}
-
-
 def _chunk(
     agents: Sequence[Agent], config: EjectionConfig, starts: StartSet, judge: SegmentationJudge,
     kept: Kept,
-) -> tuple[Measured, Beat, np.ndarray]:  # fmt: skip
-    """Return what is measured on a chunk's patients, the truth, and (R, N) who found the view."""
+) -> tuple[Measured, Beat, np.ndarray, Beat]:  # fmt: skip
+    """Return what is measured on a chunk's patients, the truth, and (R, N) who found the view.
+
+    Last what true outlines say at the patients' nominal poses.
+    """
     made: list[Ward] = []
 
     def ward() -> Ward:
@@ -241,7 +211,9 @@ def _chunk(
         for outline in OUTLINES:
             found[who, outline].append(Beat(*(part[f"{outline}.{key}"] for key in Beat._fields)))
     true = kept.part(f"truth, {whose}", partial(_true, starts, ward))
-    return found, Beat(*(true[key] for key in Beat._fields)), np.stack(declared)
+    nominal = kept.part(f"nominal, {whose}", partial(_nominal, starts, ward, judge))
+    truth, own = (Beat(*(part[key] for key in Beat._fields)) for part in (true, nominal))
+    return found, truth, np.stack(declared), own
 
 
 def _who(agents: Sequence[Agent]) -> Iterator[tuple[str, int, Agent]]:
@@ -273,24 +245,48 @@ def _true(starts: StartSet, ward: Callable[[], Ward]) -> dict[str, np.ndarray]:
     return Beat(*np.repeat(np.array(true), starts.starts, 0).T)._asdict()
 
 
+def _nominal(
+    starts: StartSet, ward: Callable[[], Ward], judge: SegmentationJudge
+) -> dict[str, np.ndarray]:
+    """Return what true outlines say at the nominal poses of (N,) episodes' patients.
+
+    No plane is better there, so that what is short of the true length is the ruler's.
+    """
+    case = ward().case_of(starts.units.tolist())
+    begun = torch.zeros(len(case), dtype=torch.float64)
+    pose = ward().scene(case, begun).target("A4C")
+    return _outlined(ward().pool, pose, case, *_beats(ward().pool, case, begun), judge)._asdict()
+
+
 def hold(pool: Pool, core: ScanCore, judge: SegmentationJudge) -> tuple[Beat, Beat]:
     """Hold the probes of N rows for a beat; return what the judge's and the true outlines say."""
     state = core.state
-    rows = state.case.repeat_interleave(FRAMES)
+    rows, phase = _beats(pool, state.case, state.began + STEP_SECONDS * state.steps)
     pose = Pose(*(part.repeat_interleave(FRAMES, 0) for part in state.pose))
-    beats = torch.tensor([60.0 / each.motion.rate for each in pool.patients], dtype=torch.float64)
-    count = len(state.case)
-    within = torch.arange(FRAMES, dtype=torch.float64).repeat(count) / FRAMES
-    begun = state.began + STEP_SECONDS * state.steps
-    when = begun.repeat_interleave(FRAMES) + within * beats.to(rows.device)[rows]
-    phase = pool.phase(rows, when)
     seeds = derive(state.seed.repeat_interleave(FRAMES), STREAM, torch.arange(len(rows)) % FRAMES)
-    images = pool.render(pose, rows, phase, seeds)
-    own = relabel(pool.mask(pose, rows, phase), to_structures(LABELS, judge.structures))
-    masks = judge.segment_camus(images), relabel(own, to_camus(judge.structures)).cpu()
+    masks = judge.segment_camus(pool.render(pose, rows, phase, seeds))
     size = pool.pixel_size(state.case).cpu().numpy()
-    first, second = (_beat(each.unflatten(0, (count, FRAMES)), size) for each in masks)
-    return first, second
+    judged = _beat(masks.unflatten(0, (len(state.case), FRAMES)), size)
+    return judged, _outlined(pool, state.pose, state.case, rows, phase, judge)
+
+
+def _beats(pool: Pool, case: Tensor, begun: Tensor) -> tuple[Tensor, Tensor]:
+    """Return the rows and phases of the pictures of N beats, (N * FRAMES,) and two of each."""
+    rows = case.repeat_interleave(FRAMES)
+    beats = torch.tensor([60.0 / each.motion.rate for each in pool.patients], dtype=torch.float64)
+    within = torch.arange(FRAMES, dtype=torch.float64).repeat(len(case)) / FRAMES
+    when = begun.repeat_interleave(FRAMES) + within * beats.to(rows.device)[rows]
+    return rows, pool.phase(rows, when)
+
+
+def _outlined(
+    pool: Pool, pose: Pose, case: Tensor, rows: Tensor, phase: Tensor, judge: SegmentationJudge
+) -> Beat:
+    """Return what the true outlines of N held poses say, in the structures of the judge."""
+    held = Pose(*(part.repeat_interleave(FRAMES, 0) for part in pose))
+    own = relabel(pool.mask(held, rows, phase), to_structures(LABELS, judge.structures))
+    masks = relabel(own, to_camus(judge.structures)).cpu()
+    return _beat(masks.unflatten(0, (len(case), FRAMES)), pool.pixel_size(case).cpu().numpy())
 
 
 def _beat(masks: Tensor, size: np.ndarray) -> Beat:

@@ -24,7 +24,10 @@ def leaderboard(
     ] = None,
     recompute: Annotated[
         list[str] | None,
-        typer.Option(help="Score this submission again first, NAME or TRACK/NAME; repeatable."),
+        typer.Option(
+            help="Score this submission again first, NAME or TRACK/NAME; repeatable. With --secret "
+            "and --board, a merged agent on patients too."
+        ),
     ] = None,
     data: opt.Data = opt.DATA,
     no_grader: opt.NoGrader = False,
@@ -53,7 +56,8 @@ def leaderboard(
 
     With --params, `board` of that file names the board. A record of another result stays in its
     place, unless --force is given; the same may be collected again. With --secret, what is scored
-    again is also scored on fresh draws, beside its record, and what does not fit is told.
+    again is also scored on fresh draws, beside its record, and what does not fit is told; of a
+    merged agent on patients the record stays as it is.
     """
     from racines_data.files import write_atomic
     from racines_leaderboard.board import collect as results_of

@@ -114,7 +114,7 @@ def flags_of(board_folder: Path, track: str, name: str) -> list[str]:
 
     Args:
         board_folder: `results/<board>`.
-        track: generators or agents.
+        track: The name of its track.
         name: The record's.
 
     Raises:

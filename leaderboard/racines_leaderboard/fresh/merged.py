@@ -56,7 +56,12 @@ def draw_merged(
         why = road if isinstance(road, str) else f"{folder} has its first training alone"
         raise RacinesError(f"{path}: cannot be drawn in secret: {why}")
     starts = secret_starts(secret, start_set(bench.on_patients(record["scores"]["task"]["view"])))
-    figures = score_agent(record, bench, folder, starts=starts).scores["metrics"]
+    made = score_agent(record, bench, folder, starts=starts).scores
+    if made["runs"] != record["scores"]["runs"]:
+        raise RacinesError(
+            f"{path}: {made['runs']} of its {record['scores']['runs']} trainings acted: with a "
+            "grader that it goes by, the first alone can be drawn"
+        )
     about = {"track": record["track"], "name": record["name"], "weights": weights, "reason": None}
-    about |= told_of_patients(record, starts, figures)
+    about |= told_of_patients(record, starts, made["metrics"])
     return write_draws(about, results, secret, number["nonce"] is not None, today, force)

@@ -269,7 +269,11 @@ def resolve_precision(precision: str, device: str) -> str:
 
 
 def check_compiler(device: str) -> None:
-    """Refuse to compile for a CPU where PyTorch finds no C++ compiler, before anything trains."""
+    """Refuse to compile for a CPU where PyTorch finds no C++ compiler, before anything trains.
+
+    Raises:
+        RacinesError: there is none.
+    """
     from torch._inductor.cpp_builder import get_cpp_compiler
     from torch._inductor.exc import InvalidCxxCompiler
 
@@ -294,7 +298,7 @@ def _accelerator(config: Training, run: Run) -> "Accelerator":
     mixed = "no" if precision == "fp32" else precision
     if config.compile:
         check_compiler(run.device)
-    compiled = "inductor" if config.compile else None  # None: as accelerate's environment says
+    compiled = "inductor" if config.compile else "no"  # whatever accelerate's environment says
     try:
         return Accelerator(cpu=run.device == "cpu", mixed_precision=mixed, dynamo_backend=compiled)
     except ValueError as error:  # a device without bfloat16

@@ -21,14 +21,19 @@ def grid(name: str, device: str, sizes: Sizes, work: Path, left: float) -> tuple
     """Train an agent and judge it on all tasks for so many seconds; return whether it is done."""
     end, folder = time.monotonic() + left, work / f"grid-{name}"
     about = ["--profile", "reference", "--device", device]
-    if not (folder / "metrics.json").is_file():
-        settings = [f"--set={key}={value}" for key, value in sizes.learning.get(name, {}).items()]
-        run(["train", "agent", name, *about, "--out", str(folder), *settings], folder, left)
+    trained = work / f"grid-{name}.trained"  # all its trainings: the first one's files do not tell
+    if not trained.is_file():
+        given = {"store": work / f"grid-{name}-frames"} if name in sizes.stores else {}
+        given |= sizes.learning.get(name, {})
+        settings = [f"--set={key}={value}" for key, value in given.items()]
+        if not run(["train", "agent", name, *about, "--out", str(folder), *settings], folder, left):
+            return False, {}
+        trained.touch()
     figures: dict[str, Any] = {"found": {}}
     for tier in TIERS:
         for view in VIEWS[: sizes.goals]:
             path = work / f"grid-{name}-{view}-{tier}.json"
-            if not path.is_file() and (folder / "metrics.json").is_file():
+            if not path.is_file():
                 settings = [f"--set={key}={value}" for key, value in sizes.judging.items()]
                 words = ["eval", "agent", name, *about, "--run", str(folder), "--view", view]
                 words += ["--tier", tier, "--out", str(path), *settings]

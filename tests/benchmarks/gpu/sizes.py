@@ -4,7 +4,7 @@ import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-_SEVERAL = {"processes": max(1, (os.cpu_count() or 1) - 3)}
+_SEVERAL = {"processes": max(1, len(os.sched_getaffinity(0)) - 3)}
 
 
 @dataclass(frozen=True)
@@ -39,6 +39,8 @@ class Sizes:
     generators: tuple[str, ...] = ("vae-gan", "residual-cgan", "attention-cgan", "cgan", "stylegan")
     patients: tuple[str, ...] = ("servo-full", "servo-memory", "ppo-belief")
     """Agents of the grid on patients, entries of the profile `reference`."""
+    stores: tuple[str, ...] = ("servo-full", "servo-memory")
+    """Those of them that keep what is drawn for them in a folder."""
     goals: int = 5
     """So many views of the grid, the first; each on still and on beating hearts."""
     learning: Mapping[str, Mapping[str, object]] = field(

@@ -125,7 +125,7 @@ def draw_learning(path: Path) -> dict[str, int]:
     reading.set_title("readings")
     choosing.set(xlabel="thousand episodes", ylabel="its choice shows the view, %", ylim=(0, 100))
     choosing.set_title("what a memory chooses")
-    acting.set(xlabel="thousand steps", ylabel="found and declared, %", ylim=(0, 100))
+    acting.set(xlabel="thousand steps", ylabel="ends at the view, %", ylim=(0, 100))
     acting.set_title("a policy on the belief")
     for axes in (reading, choosing, acting):
         axes.legend()
@@ -160,9 +160,25 @@ def by_pathology(found: Found) -> dict[str, Any]:
             scores = [found[BEST, view, tier, "test"]["by_pathology"].get(name) for view in VIEWS]
             if all(scores):
                 units = scores[0]["success_declared"]["settings"]["units"]
-                cells = [percent(each["success_declared"]) for each in scores]
+                cells = [_of_few(each["success_declared"]) for each in scores]
                 rows.append([told, name, str(units), *cells])
     return {"columns": ["hearts", "pathology", "patients", *VIEWS], "rows": rows}
+
+
+def missing(view: str, tier: str) -> list[float]:
+    """Return the shares of the best agent's failures, per cent: view passed through, and not."""
+    figures = evidence_of(BEST, view, tier).figures
+    success, passed = (figures[name].values for name in ("success_declared", "reached"))
+    assert success is not None and passed is not None
+    failed = success == 0
+    return [100 * float((failed & (passed == way)).mean()) for way in (1, 0)]
+
+
+def _of_few(told: dict[str, Any]) -> str:
+    """Return a share and its interval; of equal trainings the interval over them tells nothing."""
+    if told["high"] - told["low"] < 1e-6:
+        return f"{100 * told['value']:.0f} % (–)"
+    return percent(told)
 
 
 def ends(found: Found) -> dict[str, Any]:
@@ -171,15 +187,15 @@ def ends(found: Found) -> dict[str, Any]:
     for tier, told in TIERS.items():
         for view in VIEWS:
             metrics = found[BEST, view, tier, "test"]["metrics"]
-            shares = [percent(metrics[name])
-                      for name in ("declared", "false_declarations", "reached")]  # fmt: skip
+            shares = [percent(metrics[name]) for name in ("false_declarations", "reached")]
+            missed = [f"{share:.0f} %" for share in missing(view, tier)]
             rows.append([
-                told, view, *shares, f"{metrics['seconds_median']['value']:.1f} s",
+                told, view, *shares, *missed, f"{metrics['seconds_median']['value']:.1f} s",
                 measured(metrics, "position_error", "mm"),
                 measured(metrics, "rotation_error", "°"),
             ])  # fmt: skip
-    columns = ["hearts", "view", "declares", "wrongly", "passes through", "median time",
-               "distance", "angle"]  # fmt: skip
+    columns = ["hearts", "view", "declares wrongly", "passes through", "and ends elsewhere",
+               "never passes", "median time", "distance", "angle"]  # fmt: skip
     return {"columns": columns, "rows": rows}
 
 

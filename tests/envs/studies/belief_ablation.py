@@ -4,16 +4,17 @@
 
 A4C of still hearts; three trainings a way, each through another training of the servo. The best
 look of a training is chosen on the first validation patients, and it is judged on others. What is
-trained is kept in `envs/runs/belief-ablation`: a study that was killed goes on.
+trained is kept in `envs/runs/belief-ablation`, by its settings: a study that was killed goes on.
 """
 
 import json
 import time
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
+from racines_data.digest import recipe_digest
 from racines_data.files import write_json
 from racines_data.patients.splits import seeds_of
 from racines_envs.agents.belief.agent import PPOBeliefAgent, PPOBeliefConfig
@@ -47,10 +48,10 @@ SHARES = {"success_declared": "found and declared", "reached": "passed through"}
 
 def trained(way: str, seed: int, base: PPOBeliefConfig = BASE) -> PPOBeliefAgent:
     """Return the policy of a training, trained if it is not kept."""
-    folder = KEPT / f"{list(WAYS).index(way)}-seed-{seed}"
+    config = replace(base, **WAYS[way])
+    folder = KEPT / recipe_digest(asdict(config))[:12] / f"seed-{seed}"
     if not (folder / "metrics.json").is_file():
         began = time.perf_counter()
-        config = replace(base, **WAYS[way])
         PPOBeliefAgent.train(config, folder, seed=seed, progress=False)
         print(folder, f"{time.perf_counter() - began:.0f} s", flush=True)
     return PPOBeliefAgent.load(folder)
@@ -58,7 +59,9 @@ def trained(way: str, seed: int, base: PPOBeliefConfig = BASE) -> PPOBeliefAgent
 
 def point(way: str, base: PPOBeliefConfig = BASE, starts: StartSet = STARTS) -> dict[str, Any]:
     """Return what policies of a way find."""
-    path = KEPT / f"{list(WAYS).index(way)}.json"
+    config = asdict(replace(base, **WAYS[way]))
+    about = {"starts": starts._asdict(), "trainings": TRAININGS, "config": config}
+    path = KEPT / recipe_digest(config)[:12] / f"{recipe_digest(about)[:12]}.json"
     if not path.is_file():
         agents = [trained(way, seed, base) for seed in range(TRAININGS)]
         acted = act_on_patients(agents, replace(JUDGED, view=base.view), starts)

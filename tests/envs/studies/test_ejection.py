@@ -9,6 +9,7 @@ import torch
 from typer.testing import CliRunner
 
 from racines_data.errors import RacinesError
+from racines_envs.evaluation.patients import start_set
 from racines_envs.studies import ejection as module
 from racines_envs.studies.ejection import Beat, EjectionConfig, draw_ejection, study_ejection
 from racines_envs.worlds.ward import make_ward
@@ -79,6 +80,8 @@ def test_the_planners_true_outlines_measure_what_is_true():
     assert np.allclose(plane.length, truth.length, rtol=0.15)
     told = report["foreshortening"]
     assert told["agent"] == told["planner"] and told["planner"]["patients"] == 2
+    own = module._nominal(start_set(QUICK), lambda: ward, judge)["length"] / truth.length
+    assert ((own > 0.93) & (own < 1.01)).all(), "the ruler itself is a little short, no more"
     for outlines in ("truth", "judge"):
         one, other = measured["agent", outlines][0], measured["planner", outlines][0]
         assert np.array_equal(one.full, other.full), "the agent is the planner"
@@ -124,6 +127,7 @@ def test_a_study_that_was_killed_goes_on_training_by_training(tmp_path, monkeypa
         "agent, training 0, patients 10000 to 10000",
         "planner, training 0, patients 10000 to 10000",
         "truth, patients 10000 to 10000",
+        "nominal, patients 10000 to 10000",
         "agent, training 0, patients 10001 to 10001",
     ]
     done, stop, through = [], 0, []
@@ -141,7 +145,7 @@ def test_a_study_that_was_killed_goes_on_training_by_training(tmp_path, monkeypa
     with pytest.raises(RacinesError, match=r"parts\.json: holds another study"):
         other = EjectionConfig(patients=1, chunk=1)
         study_ejection("planner", Path(), other, judge, None, None, keep)
-    assert len(json.loads(keep.read_text())["parts"]) == 6, "and stays as it was"
+    assert len(json.loads(keep.read_text())["parts"]) == 8, "and stays as it was"
     before = json.loads(keep.read_text())["parts"]
     beat = before["agent, training 0, patients 10000 to 10000"]
     beat["judge.full"][0] = None  # as a beat that was not measured is kept

@@ -34,6 +34,7 @@ def test_the_command_tells_speeds_and_shares(real_phantom):
     assert shares == sorted(shares, reverse=True) and 0 < sum(shares) <= 1
 
 
+@pytest.mark.thorough
 def test_patients_are_timed_as_the_one_heart_is(hearts, monkeypatch):
     monkeypatch.setenv("XDG_CACHE_HOME", str(hearts))
     words = ["study", "speed", "--view", "SC-beating", "--num-envs", "2", "--set", "steps=1"]

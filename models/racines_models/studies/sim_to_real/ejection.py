@@ -38,7 +38,7 @@ def disk_volume(mask: np.ndarray, mm: np.ndarray) -> float:
 
 
 def measure_ventricle(mask: np.ndarray, mm: np.ndarray) -> Ventricle:
-    """Return volume and length of the left ventricle.
+    """Return volume, mL, and length, mm, of the left ventricle; NaN where none is seen.
 
     Args:
         mask: (H, W) of CAMUS's numbers; of the ventricle, the largest connected part counts.
