@@ -341,7 +341,9 @@ def _foreshortening(own: Sequence[Beat], truth: Beat, units: np.ndarray) -> dict
     Its `bias` is the mean foreshortening, negative where the axis in the plane is shorter.
     """
     shown = np.stack([100.0 * each.length / truth.length for each in own])
-    return agreement(shown, np.full(len(units), 100.0), "%", units=units)
+    told = agreement(shown, np.full(len(units), 100.0), "%", units=units)
+    told.pop("correlation", None)  # the whole axis is the same for all
+    return told
 
 
 def _errors(measured: Measured, truth: Beat) -> dict[str, float | None]:
