@@ -18,26 +18,39 @@ from racines_models.training.checkpoint import repeat_folders
 SMALL = 4_096
 """Tensors of at most so many entries stay as they are: normalisation and biases weigh nothing, and
 half a unit in the last place of a position's mean is a tenth of a millimetre."""
+LEVELS = 127
+"""Greatest number of eight bits and a sign that is used."""
+STEP = ".step"
+"""Ends the name of what a tensor of such numbers is multiplied by, a number a row."""
 LEFT_OUT = ("schema", "generator")
 """Keys of `metrics.json` that `config.json` has already."""
 
 
-def publish(run: Path, out: Path) -> dict[str, Any]:
-    """Write a half-precision copy of a run: `config.json` and each `*.safetensors`.
+def publish(run: Path, out: Path, form: str = "float16") -> dict[str, Any]:
+    """Write a smaller copy of a run: `config.json` and each `*.safetensors`.
 
-    Large float32 tensors become float16, the rest stays. `config.json` is the run's, with
-    `weights_files` (dtype, and by file its bytes, its sha256, and that of the run's file that it
-    was made of) and `training` (the run's metrics) added, and the `plots` that the metrics name
+    Large float32 tensors become float16, or eight bits a number with a step for each row (of the
+    first dimension), half a step from what they were; the rest stays. `config.json` is the run's,
+    with `weights_files` (dtype, and by file its bytes, its sha256, and that of the run's file that
+    it was made of) and `training` (the run's metrics) added, and the `plots` that the metrics name
     beside it. It is written last, so that a folder which has one is whole. The run's further seeds
     are copied likewise, each into a folder of its name, and their files are named in it as well.
+
+    Args:
+        run: folder of a trained run.
+        out: folder to write.
+        form: `float16` or `int8`.
 
     Returns:
         The written `config.json`.
 
     Raises:
-        RacinesError: no trained model in the folder, or a weight that float16 cannot hold.
+        RacinesError: no trained model in the folder, another form, or a weight that the form
+            cannot hold.
     """
     run, out = Path(run), Path(out)
+    if form not in FORMS:
+        raise RacinesError(f"{form!r}: weights are published as {' or '.join(FORMS)}")
     files = sorted(run.glob("*.safetensors"))
     if not files or not (run / "config.json").is_file():
         raise RacinesError(f"{run}: no config.json with *.safetensors; train a model there first")
@@ -46,13 +59,13 @@ def publish(run: Path, out: Path) -> dict[str, Any]:
     content = json.loads((run / "config.json").read_text(encoding="utf-8"))
     described = {}
     for file in files:
-        data = save(_halved(load_weights(file), file))
+        data = save(_smaller(load_weights(file), file, form))
         write_atomic(out / file.name, data)
         hashes = {"sha256": sha256_bytes(data), "made_of": sha256_file(file)}
         described[file.name] = {"bytes": len(data), **hashes}
-    content["weights_files"] = {"dtype": "float16", "files": described}
+    content["weights_files"] = {"dtype": form, "files": described}
     for seed in repeat_folders(run):
-        told = publish(seed, out / seed.name)["weights_files"]["files"]
+        told = publish(seed, out / seed.name, form)["weights_files"]["files"]
         described |= {f"{seed.name}/{file}": each for file, each in told.items()}
     metrics = run / "metrics.json"
     if metrics.is_file():
@@ -75,7 +88,7 @@ def save_weights(path: Path, tensors: Mapping[str, Tensor]) -> str:
 def load_weights(
     path: Path, device: str = "cpu", remedy: str = "get it again"
 ) -> dict[str, Tensor]:
-    """Read the tensors of a safetensors file, half-precision ones as float32.
+    """Read the tensors of a safetensors file, those that `publish` made smaller as float32.
 
     Raises:
         RacinesError: the file is absent, damaged, a pickle, or not the one that `config.json`
@@ -97,7 +110,9 @@ def load_weights(
     except (SafetensorError, OSError) as error:
         raise RacinesError(f"{path}: cannot be read as safetensors: {error}; {remedy}") from error
     half = (torch.float16, torch.bfloat16)
-    return {key: each.float() if each.dtype in half else each for key, each in tensors.items()}
+    steps = {key: tensors.pop(key + STEP) for key in list(tensors) if key + STEP in tensors}
+    wide = {key: each.float() if each.dtype in half else each for key, each in tensors.items()}
+    return wide | {key: step * wide[key].float() for key, step in steps.items()}
 
 
 def load_network(path: Path, network: nn.Module, remedy: str) -> None:
@@ -123,12 +138,25 @@ def read_described(folder: Path, absent: str, schema: str | None = None) -> dict
     return described
 
 
-def _halved(tensors: dict[str, Tensor], file: Path) -> dict[str, Tensor]:
-    halved = {}
+def _smaller(tensors: dict[str, Tensor], file: Path, form: str) -> dict[str, Tensor]:
+    smaller = {}
     for key, tensor in tensors.items():
+        parts = {"": tensor}
         if tensor.dtype == torch.float32 and tensor.numel() > SMALL:
-            tensor = tensor.half()
-            if not bool(tensor.isfinite().all()):
-                raise RacinesError(f"{file}: {key} is NaN or too large for half precision")
-        halved[key] = tensor.contiguous()
-    return halved
+            parts = FORMS[form](tensor)
+            if not all(bool(part.isfinite().all()) for part in parts.values()):
+                raise RacinesError(f"{file}: {key} is NaN or too large for {form}")
+        smaller |= {key + name: part.contiguous() for name, part in parts.items()}
+    return smaller
+
+
+def _in_steps(tensor: Tensor) -> dict[str, Tensor]:
+    """Return a tensor as eight bits a number, and what each row is to be multiplied by."""
+    largest = tensor.flatten(1).abs().amax(1) if tensor.dim() > 1 else tensor.abs().amax()
+    step = (largest / LEVELS).view(-1, *(1,) * max(tensor.dim() - 1, 0))
+    units = (tensor / step.clamp_min(torch.finfo(torch.float32).tiny)).round()
+    return {"": units.to(torch.int8), STEP: step}
+
+
+FORMS = {"float16": lambda tensor: {"": tensor.half()}, "int8": _in_steps}
+"""What a large tensor is published as, by the ends of names."""

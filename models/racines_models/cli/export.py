@@ -36,9 +36,12 @@ def export_generator(
 def export_weights(
     run: Annotated[Path, typer.Argument(help="Folder of a trained run.")],
     out: opt.OwnOut = None,
+    form: Annotated[
+        str, typer.Option("--format", help="float16, or int8: half of it again, coarser.")
+    ] = "float16",
     as_json: opt.AsJson = False,
 ) -> None:
-    """Copy a run's weights in half precision, with hashes and how they were trained.
+    """Copy a run's weights in fewer bits, with hashes and how they were trained.
 
     They go to models/weights/NAME, or --out.
     """
@@ -46,7 +49,7 @@ def export_weights(
     from racines_models.weights import publish
 
     folder = out or Path("models/weights") / run.resolve().name
-    files = publish(run, folder)["weights_files"]["files"]
+    files = publish(run, folder, form)["weights_files"]["files"]
     lines = [
         f"{folder / name}: {each['bytes'] / 1e6:.2f} MB, sha256 {each['sha256'][:12]}…"
         for name, each in files.items()
