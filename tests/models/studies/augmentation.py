@@ -10,7 +10,7 @@ that is in FOLDER is kept, and one that was stopped goes on. Nothing here choose
 
 import json
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -72,28 +72,38 @@ def asked(grader: Grader, store: FrameStore, echo: Any) -> dict[str, float]:
     return told | {"turned 45°–135°": 100 * sectors["between"]["called_a4c"]}
 
 
+def answers(
+    place: Path, parts: Sequence[str], seed: int, shown: FrameStore, store: FrameStore, echo: Any
+) -> dict[str, float]:
+    """Return what a grader says that learned from the frames shown; from its folder if there."""
+    if not (place / "asked.json").is_file():
+        told = asked(taught(parts, shown, place, seed), store, echo)
+        write_json(place / "asked.json", told)
+    return json.loads((place / "asked.json").read_text())
+
+
 def cell(values: Sequence[float]) -> str:
     """Return the mean over trainings, with the range where there are several."""
     mean = f"{sum(values) / len(values):.1f}"
     return mean if len(values) == 1 else f"{mean} ({min(values):.1f} – {max(values):.1f})"
 
 
+def table(first: str, told: Mapping[str, Sequence[dict[str, float]]]) -> dict[str, Any]:
+    """Return the table of what graders said, a row a kind of training; `first` names the kinds."""
+    columns = list(next(iter(told.values()))[0])
+    rows = [[name, *(cell([each[key] for each in own]) for key in columns)]
+            for name, own in told.items()]  # fmt: skip
+    return {"columns": [first, *columns], "rows": rows}
+
+
 def run(data: Path, real: Path, folder: Path, seeds: int) -> None:
-    """Train, ask, and write the table as it grows."""
+    """Train, ask, and write the table."""
     store, echo = open_store(data, "beating"), read_real_echo(real, None)
-    places: dict[str, list[Path]] = {name: [] for name in VARIANTS}
+    told: dict[str, list[dict[str, float]]] = {name: [] for name in VARIANTS}
     for seed in range(seeds):
         for name, parts in VARIANTS.items():
             place = folder / f"{'-'.join(sorted(parts)) or 'none'}-{seed}"
-            places[name].append(place)
-            if not (place / "asked.json").is_file():
-                told = asked(taught(parts, store, place, seed), store, echo)
-                write_json(place / "asked.json", told)
-    rows, columns = [], []
-    for name, own in places.items():
-        told = [json.loads((place / "asked.json").read_text()) for place in own]
-        columns = list(told[0])
-        rows.append([name, *(cell([each[key] for each in told]) for key in columns)])
+            told[name].append(answers(place, parts, seed, store, store, echo))
     images = 2 * len(store.split_indices("train"))
     write_json(RESULT, {
         "schema": "racines.figures/1",
@@ -103,7 +113,7 @@ def run(data: Path, real: Path, folder: Path, seeds: int) -> None:
         "machine": "one core of an AMD EPYC (Zen 4)",
         "source": "measured once",
         "figures": {"trainings": seeds, "images": images, "frames": len(echo.frames.images) // 2},
-        "tables": {"parts": {"columns": ["parts", *columns], "rows": rows}},
+        "tables": {"parts": table("parts", told)},
     })  # fmt: skip
 
 
