@@ -6,7 +6,7 @@ from torch import Tensor, nn
 from torch.utils._python_dispatch import TorchDispatchMode
 
 from racines_models.networks import batching
-from racines_models.networks.batching import in_fixed_batches
+from racines_models.networks.batching import Lasting, in_fixed_batches
 
 ULP = 2.0**-7
 """Of bfloat16, relative: two sums that round to neighbours lie so far apart."""
@@ -83,3 +83,23 @@ def test_kernels_are_those_that_the_processor_has_units_for(answer, images, unit
     with Convolutions() as seen:
         answer(images, units=units)
     assert seen.types == {kind}
+
+
+def test_images_that_last_are_not_looked_at_again(network, images):
+    looked, lasting = [], Lasting()
+
+    def look(part: Tensor) -> Tensor:
+        looked.append(len(part))
+        return network(part).flatten(1)
+
+    with torch.no_grad():
+        for changed in ([], [3], list(range(9)), []):
+            images = images.clone()
+            images[changed] += 1.0
+            assert torch.equal(lasting(look, images), in_fixed_batches(network, images).flatten(1))
+        images[2, 0, 5, 5] -= 1.0  # in place, a pixel
+        said = lasting(look, images)
+        assert torch.equal(said, in_fixed_batches(network, images).flatten(1))
+        few = lasting(look, images[:4])
+    assert looked == [8] * (2 + 0 + 1 + 2 + 0 + 1 + 1), "chunks of eight, of what is new alone"
+    assert torch.equal(few, said[:4])

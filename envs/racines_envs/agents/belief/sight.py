@@ -19,7 +19,7 @@ from racines_envs.agents.servo.belief import Belief, reading
 from racines_envs.agents.servo.frames import shrink
 from racines_envs.agents.steering import Steering
 from racines_envs.task.core import ScanCore
-from racines_models.networks.batching import in_fixed_batches
+from racines_models.networks.batching import Lasting
 
 WAY = 6
 NEAR, FAR = 2.0, 10.0
@@ -52,6 +52,7 @@ class Episodes:
         self._belief: Belief | None = None
         self._best: Best | None = None
         self._told: Tensor | None = None
+        self._lasting = Lasting()
 
     @torch.no_grad()
     def see(self, observation: dict[str, Tensor], rows: Tensor | None = None) -> Tensor:
@@ -71,7 +72,7 @@ class Episodes:
             return torch.cat([ways, deviations, torch.stack(shown, -1)], -1)
 
         images = observation["image"].view(len(labels), *observation["image"].shape[-2:])
-        said = in_fixed_batches(look, images)
+        said = self._lasting(look, images)
         said = said[torch.arange(len(labels), device=device), labels.to(device)].to(labels.device)
         read = reading(pose, said[:, :WAY], said[:, WAY : 2 * WAY])
         shown = said[:, 2 * WAY :] / said.new_tensor([1.0, 10.0])

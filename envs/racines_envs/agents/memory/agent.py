@@ -70,7 +70,7 @@ class ServoMemoryAgent(ServoAgent):
             said = torch.cat([ways, sureness, torch.stack(shown, -1)], -1)
             return torch.cat([said.flatten(1), features], 1)
 
-        seen = in_fixed_batches(look, observation["image"])
+        seen = self._lasting(look, observation["image"])
         each = torch.arange(len(labels), device=labels.device)
         said = seen[:, :said_by_all].view(-1, len(VIEWS), SAID)[each, labels]
         scale = torch.tensor(SCALE, device=said.device)

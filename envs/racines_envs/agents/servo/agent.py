@@ -24,7 +24,7 @@ from racines_envs.agents.training import seeded
 from racines_envs.task.core import ScanCore
 from racines_envs.task.names import HEART_TIER
 from racines_models.devices import on_device, resolve_device
-from racines_models.networks.batching import in_fixed_batches
+from racines_models.networks.batching import Lasting, in_fixed_batches
 from racines_models.networks.servo import Reading, ServoEnsemble, ServoNetwork
 from racines_models.protocol import Run
 from racines_models.weights import load_network, read_described, save_weights
@@ -57,6 +57,7 @@ class ServoAgent:
         self._label = None if core.task.any_view else core.task.target
         self._task, self._offsets = core.task, waypoints().to(core.device)
         self._mind: Mind | None = None
+        self._lasting = Lasting()
 
     @torch.no_grad()
     def act(self, observation: dict[str, Tensor], seeds: Tensor) -> Tensor:
@@ -93,7 +94,8 @@ class ServoAgent:
 
     def read(self, observation: dict[str, Tensor], pose: Pose) -> tuple[Belief, Tensor]:
         """Return where the images say that the (N,) targets are, and how well they show them."""
-        read, label = self.readings(observation["image"]), self._labels(observation)
+        read = self._parted(self._lasting(self._look, observation["image"]))
+        label = self._labels(observation)
         each = torch.arange(len(label), device=label.device)
         found = reading(pose, read.ways[each, label], read.deviations[each, label])
         return found, read.scores[each, label] + read.grades[each, label] / 10.0 - 1.0
@@ -107,12 +109,14 @@ class ServoAgent:
 
     def readings(self, images: Tensor) -> Reading:
         """Return what (N, 128, 128) images show of all views."""
+        return self._parted(in_fixed_batches(self._look, images))
 
-        def look(part: Tensor) -> Tensor:
-            ways, deviations, *shown = self.network.read(self._shrunk(part))
-            return torch.cat([ways, deviations, torch.stack(shown, -1)], -1)
+    def _look(self, images: Tensor) -> Tensor:
+        ways, deviations, *shown = self.network.read(self._shrunk(images))
+        return torch.cat([ways, deviations, torch.stack(shown, -1)], -1)
 
-        said = in_fixed_batches(look, images)
+    @staticmethod
+    def _parted(said: Tensor) -> Reading:
         return Reading(said[..., :6], said[..., 6:12], *said[..., 12:].unbind(-1))
 
     def _shrunk(self, images: Tensor) -> Tensor:
