@@ -205,7 +205,9 @@ def sound_policy(path: Path, seed: int = 0, **told: str) -> Path:
     )
 
 
-def lookup_generator(path: Path, parameters: Any, images: Any, noise: float = 0.0) -> Path:
+def lookup_generator(
+    path: Path, parameters: Any, images: Any, noise: float = 0.0, conditional: str = "true"
+) -> Path:
     """Write a generator that looks frames up by the nearest pose: a table of (N, 12) and images.
 
     With `noise`, so many gray levels of it hide that its images are copies.
@@ -221,7 +223,7 @@ def lookup_generator(path: Path, parameters: Any, images: Any, noise: float = 0.
         helper.make_node("ArgMin", ["distance"], ["nearest"], axis=1, keepdims=0),
     ]
     inputs = [helper.make_tensor_value_info("parameters", TensorProto.FLOAT, ["B", 12])]
-    about = {"name": "lookup", "conditional": "true"}
+    about = {"name": "lookup", "conditional": conditional}
     kind = TensorProto.FLOAT if noise else TensorProto.UINT8
     made = helper.make_tensor_value_info("images", kind, ["B", 128, 128])
     if not noise:

@@ -15,7 +15,7 @@ import yaml
 
 import racines_data
 from racines_data.manifest import describe, read_manifest
-from tests.conftest import ROOT, command
+from tests.conftest import ROOT, Once, command
 from tests.plugins.packages import install
 
 POINTS = {
@@ -40,9 +40,16 @@ pytestmark = pytest.mark.docs
 
 
 @pytest.fixture(scope="module")
-def walked(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any]]:
+def walked(made_once: Once) -> tuple[Path, dict[str, Any]]:
     """The folder in which a user with that package worked, and what there was to see."""
-    site, work = tmp_path_factory.mktemp("site"), tmp_path_factory.mktemp("work")
+    work = made_once("all-the-way", walk) / "work"
+    return work, json.loads((work / "seen.json").read_text())
+
+
+def walk(folder: Path) -> None:
+    site, work = folder / "site", folder / "work"
+    site.mkdir()
+    work.mkdir()
     for file in sorted((Path(__file__).parent / "theirs").glob("their_*.py")):
         shutil.copy(file, site)
     install(site, "their_package", POINTS)
@@ -53,10 +60,9 @@ def walked(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, An
         before = os.environ.get("PYTHONPATH")
         patch.setenv("PYTHONPATH", os.pathsep.join([*places, *([before] if before else [])]))
         patch.setenv("SEEN", str(work / "seen.json"))
-        walk = "import runpy; from tests import warm; warm.plain_pictures()\n"
-        walk += "runpy.run_path('walk.py', run_name='__main__')"
-        command(work, "python", "-c", walk, fresh=True)
-    return work, json.loads((work / "seen.json").read_text())
+        words = "import runpy; from tests import warm; warm.plain_pictures()\n"
+        words += "runpy.run_path('walk.py', run_name='__main__')"
+        command(work, "python", "-c", words, fresh=True)
 
 
 def test_a_source_is_built_loaded_checked_and_exported(walked):

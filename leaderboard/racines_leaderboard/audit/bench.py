@@ -83,6 +83,7 @@ class Bench:
         self.no_data = f"no dataset of its recipe in {places.data}, nor beside it"
         self._sweeps: dict[tuple[str, str], SweepSet | None] = {}
         self._records: dict[str, tuple[tuple[int, int, int], Record | None]] = {}
+        self._hashes: dict[Path, tuple[tuple[int, int, int], str]] = {}
 
     def peers(self, path: Path) -> list[Record]:
         """Return the sound records beside one, each read once for as long as its file stays."""
@@ -285,7 +286,16 @@ class Bench:
     def judge(self, kind: str, sha256: str | None) -> Path | None:
         """Return the folder of the judge whose weights have a hash, if it is here."""
         folders = self.judge_folders(kind)
-        return next((f for f in folders if sha256 == sha256_file(f / JUDGES[kind])), None)
+        return next((f for f in folders if sha256 == self._sha256(f / JUDGES[kind])), None)
+
+    def _sha256(self, path: Path) -> str:
+        """Return the hash of a judge's weights, taken once for as long as their file stays."""
+        about = path.stat()
+        state = about.st_ino, about.st_size, about.st_mtime_ns
+        known = self._hashes.get(path)
+        if known is None or known[0] != state:
+            known = self._hashes[path] = state, sha256_file(path)
+        return known[1]
 
     def judge_folders(self, kind: str) -> list[Path]:
         """Return where judges of a kind lie: the one given, or else those of the usual places.

@@ -41,6 +41,7 @@ from racines_models.registry import (
 )
 from racines_models.sample import DRAW, FrameSource, Progress, Sample, check_drawn
 from racines_models.scores.features import Extractor, Remembered
+from racines_models.scores.remembered import RememberedOutlines, RememberedPose
 from racines_models.scores.scorer import Scorer, ScoresConfig, plain
 from racines_models.scores.scoring import SCHEMA, Scores
 from racines_models.scores.spread import (
@@ -234,7 +235,7 @@ def score_on_patients(
         )  # fmt: skip
     drawn = [images for images, _ in pairs]
     features = Remembered(judges.features)
-    looked = Judges(judges.pose, judges.segmentation, features)
+    looked = Judges(RememberedPose(judges.pose), RememberedOutlines(judges.segmentation), features)
     everything = torch.arange(len(asked))
     scorer = _scorer(asked, everything, drawn, progress)
     metrics = _figures(scorer, asked, everything, looked)

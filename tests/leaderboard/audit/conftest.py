@@ -3,7 +3,6 @@
 import json
 import shutil
 from collections.abc import Callable
-from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -37,26 +36,30 @@ from racines_models.protocol import Run
 from racines_models.registry import weights_of
 from racines_models.sample import take_sample
 from racines_models.scores.scoring import score
-from tests.conftest import lay_workplace
+from tests.conftest import Once, lay_workplace
 from tests.leaderboard.conftest import lay_ground, write_submission
 from tests.leaderboard.graphs import sound_generator, sound_policy
 from tests.leaderboard.handed_in import CONFIG, inbox, submitted
 
 RESULTS, SUBMISSIONS = Path("leaderboard/results"), Path("leaderboard/submissions")
 Make = Callable[[Ground], Path]
+WHERE = "record.txt"
+"""Says where the record lies that was made in a folder."""
 
 
 @pytest.fixture(scope="session")
-def once(
-    tiny_root: Path, tmp_path_factory: pytest.TempPathFactory
-) -> Callable[[Make], tuple[Path, Path]]:
+def once(tiny_root: Path, made_once: Once) -> Callable[[Make], tuple[Path, Path]]:
     """Make each record once, in a folder of its own; give the folder and the record in it."""
 
-    @cache
     def of(make: Make) -> tuple[Path, Path]:
-        folder = lay_workplace(tmp_path_factory.mktemp(make.__name__), tiny_root)
-        with pytest.MonkeyPatch.context() as patch:
-            return folder, make(lay_ground(folder, patch))
+        def lay(folder: Path) -> None:
+            lay_workplace(folder, tiny_root)
+            with pytest.MonkeyPatch.context() as patch:
+                path = make(lay_ground(folder, patch))
+            (folder / WHERE).write_text(str(path), encoding="utf-8")
+
+        folder = made_once(f"audited-{make.__name__}", lay)
+        return folder, Path((folder / WHERE).read_text(encoding="utf-8"))
 
     return of
 
@@ -68,7 +71,7 @@ def copied(make: Make) -> Any:
         folder, path = once(make)
 
         def here_already(inside: str, names: list[str]) -> set[str]:
-            return {"data", "racines"} if inside == str(folder) else set()
+            return {"data", "racines", WHERE} if inside == str(folder) else set()
 
         shutil.copytree(folder, Path.cwd(), ignore=here_already, dirs_exist_ok=True)
         return path

@@ -39,3 +39,24 @@ def test_each_is_read_once_and_anew_when_its_file_is_another(
     paths[0].write_text("{")
     assert [record["name"] for record in bench.peers(paths[1])] == [p.stem for p in paths[2:]]
     assert read[len(paths) :] == [paths[0]] * 2
+
+
+def test_a_judge_is_hashed_once_and_anew_when_its_file_is_another(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    weights = tmp_path / "grader.safetensors"
+    weights.write_bytes(b"one")
+    hashed: list[Path] = []
+
+    def hashing(path: Path) -> str:
+        hashed.append(path)
+        return true(path)
+
+    true = benches.sha256_file
+    monkeypatch.setattr(benches, "sha256_file", hashing)
+    bench, first = Bench(BOARD, Places(judges={"grader": tmp_path})), true(weights)
+    assert [bench.judge("grader", first) for _ in range(3)] == [tmp_path] * 3
+    assert hashed == [weights]
+    weights.write_bytes(b"another")
+    assert bench.judge("grader", first) is None
+    assert bench.judge("grader", true(weights)) == tmp_path and hashed == [weights] * 2

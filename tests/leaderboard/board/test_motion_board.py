@@ -42,9 +42,12 @@ ON = ("--config", "frames", "--params", str(PARAMS), "--json")
 
 
 @pytest.fixture(scope="module")
-def made(tmp_path_factory, tiny_root) -> Path:
+def made(made_once, tiny_root) -> Path:
     """A workplace with a board of floors and of a network of three trainings, on the phantom."""
-    folder = lay_workplace(tmp_path_factory.mktemp("moving-board"), tiny_root)
+    return made_once("moving-board", lambda folder: make_board(lay_workplace(folder, tiny_root)))
+
+
+def make_board(folder: Path) -> None:
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
         PARAMS.parent.mkdir(parents=True)
@@ -55,7 +58,6 @@ def made(tmp_path_factory, tiny_root) -> Path:
             racines("eval", "motion", name, *ON)
         racines("leaderboard", "--board", "moving", "--collect", str(SCORES))
         racines("board", "pin", "moving")
-    return folder
 
 
 @pytest.fixture

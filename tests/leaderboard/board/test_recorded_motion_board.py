@@ -82,12 +82,14 @@ def make_boards(folder: Path) -> None:
 
 
 @pytest.fixture(scope="module")
-def made(tmp_path_factory, tiny_root) -> Path:
-    folder = lay_workplace(tmp_path_factory.mktemp("recorded-boards"), tiny_root)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.chdir(folder)
-        make_boards(folder)
-    return folder
+def made(made_once, tiny_root) -> Path:
+    def make(folder: Path) -> None:
+        lay_workplace(folder, tiny_root)
+        with pytest.MonkeyPatch.context() as patch:
+            patch.chdir(folder)
+            make_boards(folder)
+
+    return made_once("recorded-boards", make)
 
 
 @pytest.fixture

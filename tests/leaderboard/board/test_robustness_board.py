@@ -43,9 +43,12 @@ Change = Callable[[dict[str, Any]], Any]
 
 
 @pytest.fixture(scope="module")
-def made(tmp_path_factory) -> Path:
+def made(made_once) -> Path:
     """A workplace with the scores of the planner, and its robustness report in `report.json`."""
-    folder = tmp_path_factory.mktemp("robustness-board")
+    return made_once("robustness-board", make_board)
+
+
+def make_board(folder: Path) -> None:
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
         Path("params.yaml").write_text(yaml.safe_dump(SETTINGS), encoding="utf-8")
@@ -53,7 +56,6 @@ def made(tmp_path_factory) -> Path:
         racines("eval", "agent", "planner", "--view", "A4C", "--tier", "patients")
         config = RobustnessConfig(patients=2, disturbances=tuple(TWO))
         evaluate_robustness("planner", folder, config, folder / "report.json")
-    return folder
 
 
 @pytest.fixture

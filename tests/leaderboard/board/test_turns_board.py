@@ -32,10 +32,11 @@ SETTINGS = {
     "seed": 0,
     "generators": {
         "vae-gan": {
-            "width": 8,
+            "width": 4,
             "encoder_width": 4,
             "discriminator_width": 4,
-            "training": {"images": 320, "batch_size": 8, "ema": 0.0, "repeats": 3},
+            "learning_rate": 0.01,
+            "training": {"images": 128, "batch_size": 8, "ema": 0.0, "repeats": 3},
         }
     },
     "scores": {"speed": False},
