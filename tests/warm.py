@@ -16,8 +16,27 @@ from pathlib import Path
 from subprocess import CompletedProcess
 from tempfile import TemporaryDirectory
 from types import ModuleType
+from typing import Any
 
-_context = multiprocessing.get_context("forkserver")
+
+class _Process(multiprocessing.get_context("forkserver").Process):
+    """A fork with the environment of who starts it: the server has that of its own start."""
+
+    def __init__(self, *given: Any, **named: Any) -> None:
+        super().__init__(*given, **named)
+        self._environment = dict(os.environ)
+
+    def run(self) -> None:
+        os.environ.clear()
+        os.environ.update(self._environment)
+        super().run()
+
+
+class _Context(ForkServerContext):
+    Process = _Process
+
+
+_context = _Context()
 _context.set_forkserver_preload(["tests.preloaded"])
 
 

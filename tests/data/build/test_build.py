@@ -131,7 +131,7 @@ def test_a_failed_rebuild_leaves_the_old_dataset(tmp_path: Path):
     assert read_manifest(out) == before
 
 
-def test_an_error_in_a_worker_arrives_whole(tmp_path: Path):
+def test_an_error_in_a_worker_arrives_whole(tmp_path: Path, warm_workers: None):
     with pytest.raises(RacinesError, match=r"trajectory t\d+: unknown target view 'A5C'"):
         build(FakeSource(FakeConfig(views=("A5C",))), tmp_path / "b", DataConfig(workers=2))
 

@@ -1,8 +1,6 @@
 """What a card says, and that what it says is so."""
 
 import re
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +14,7 @@ from racines_data.manifest import read_manifest
 from racines_data.schema import PARAMETERS, frame_features
 from racines_data.store.frames import open_store
 from racines_data.views import PAPER_STATISTICS
+from tests.conftest import command
 from tests.data.scan_source import ScanConfig, ScanSource
 from tests.documents import blocks
 
@@ -119,10 +118,8 @@ def test_python_blocks_of_the_card_run(scanned: Path, tmp_path: Path):
     (tmp_path / "racines").symlink_to(scanned)
     code = "\n".join(each.text for each in blocks(scanned / "README.md"))
     assert "load_dataset" in code and "open_store" in code
-    done = subprocess.run(
-        [sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True
-    )
-    assert done.returncode == 0, done.stderr
+    own = f"import datasets; datasets.config.HF_DATASETS_CACHE = {str(tmp_path / 'cache')!r}"
+    command(tmp_path, "python", "-c", f"{own}\n{code}")
 
 
 def test_an_older_manifest_still_has_a_card(scanned: Path):

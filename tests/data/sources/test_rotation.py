@@ -132,7 +132,9 @@ def test_the_store_is_made_again_from_the_shards(root: Path, tmp_path: Path):
         assert torch.equal(getattr(one, name).nan_to_num(-1), getattr(other, name).nan_to_num(-1))
 
 
-def test_the_same_bytes_in_other_processes(folder: Path, root: Path, tmp_path: Path):
+def test_the_same_bytes_in_other_processes(
+    folder: Path, root: Path, tmp_path: Path, warm_workers: None
+):
     made = build(source(folder), tmp_path / "again", DataConfig(workers=2, shards=1))
     assert made["digest"] == read_manifest(root)["digest"]
     assert made["recipe_digest"] == read_manifest(root)["recipe_digest"]

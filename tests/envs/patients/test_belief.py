@@ -21,6 +21,7 @@ from racines_envs.apis.torchrl_env import ScanEnv
 from racines_envs.evaluation.agent_specs import check_view
 from racines_envs.evaluation.trainings import find_trainings
 from racines_envs.task.actions import IDLE
+from racines_envs.task.tasks import PATIENT_TASKS
 from racines_envs.worlds.making import make_core
 from tests.envs.patients.test_memory import save
 
@@ -132,6 +133,9 @@ def trained(servo, tmp_path_factory, hearts):
     folder = tmp_path_factory.mktemp("belief")
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("XDG_CACHE_HOME", str(hearts))
+        # Episodes of its validation end sooner: who has learned nothing would use all steps.
+        short = replace(PATIENT_TASKS["AnyView-patients"], max_steps=30)
+        patch.setitem(PATIENT_TASKS, "AnyView-patients", short)
         agent = PPOBeliefAgent.train(tiny(servo), folder, seed=0, progress=False)
         PPOBeliefAgent.train(tiny(servo), folder / "seed-1", seed=1, progress=False)
     return agent, folder

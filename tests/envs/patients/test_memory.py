@@ -1,6 +1,7 @@
 """The servo with a memory: what it looks back on, learns from, and where it goes."""
 
 import json
+import shutil
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
@@ -11,8 +12,9 @@ import torch
 from racines_data.errors import RacinesError
 from racines_data.geometry import geodesic
 from racines_data.views import VIEWS
+from racines_envs.agents.memory import agent as module
 from racines_envs.agents.memory import episodes, rounds
-from racines_envs.agents.memory.agent import ServoMemoryAgent
+from racines_envs.agents.memory.agent import CHOOSE, ServoMemoryAgent
 from racines_envs.agents.memory.episodes import EpisodeConfig, Episodes, act_on
 from racines_envs.agents.memory.eyes import eyes_like, eyes_of
 from racines_envs.agents.memory.lead import ABOUT, CHOICES, best_of
@@ -131,12 +133,23 @@ def save(folder: Path, seed: int, drawn: int | None = None) -> None:
     (folder / "metrics.json").write_text("{}")
 
 
+@pytest.fixture(scope="module")
+def servo(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a servo's run of two trainings, to be read only."""
+    folder = tmp_path_factory.mktemp("eyes") / "servo"
+    save(folder, 0)
+    save(folder / "seed-1", 1)
+    return folder
+
+
+SOON = 40
+"""Steps of a search that is cut short, where what comes after it is asked."""
+
+
 @pytest.fixture
-def servo(tmp_path: Path) -> Path:
-    """Return a servo's run of two trainings."""
-    save(tmp_path / "servo", 0)
-    save(tmp_path / "servo" / "seed-1", 1)
-    return tmp_path / "servo"
+def short_search(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module, "CHOOSE", SOON)
+    monkeypatch.setattr(module, "FURTHER", 25)
 
 
 def fake_episodes(agent: Any, patient: int, config: EpisodeConfig, seed: int) -> Episodes:
@@ -157,14 +170,33 @@ def fake_episodes(agent: Any, patient: int, config: EpisodeConfig, seed: int) ->
     return Episodes(tokens, seen, torch.stack([shown, shown], -1), labels, target)
 
 
-@pytest.fixture
-def tiny(servo: Path, monkeypatch: pytest.MonkeyPatch) -> MemoryConfig:
-    monkeypatch.setattr(rounds, "act_on", fake_episodes)
+def settings(servo: Path) -> MemoryConfig:
     return MemoryConfig(
         members=str(servo), patients=4, round_patients=2, validation_patients=1,
         acts=EpisodeConfig(episodes=6, places=1), episodes=64, round_episodes=32, batch_size=8,
         precision="fp32",
     )  # fmt: skip
+
+
+@pytest.fixture
+def tiny(servo: Path, monkeypatch: pytest.MonkeyPatch) -> MemoryConfig:
+    monkeypatch.setattr(rounds, "act_on", fake_episodes)
+    return settings(servo)
+
+
+@pytest.fixture(scope="module")
+def trained(
+    servo: Path, tmp_path_factory: pytest.TempPathFactory
+) -> dict[int, tuple[ServoMemoryAgent, Path]]:
+    """Return a training by seed, and its folder."""
+    made = {}
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(rounds, "act_on", fake_episodes)
+        for seed in (0, 1):
+            folder = tmp_path_factory.mktemp("memory") / str(seed)
+            agent = ServoMemoryAgent.train(settings(servo), folder, seed=seed, progress=False)
+            made[seed] = agent, folder
+    return made
 
 
 def learner(config: MemoryConfig, patients: range, episodes: int) -> MemoryLearner:
@@ -178,17 +210,17 @@ def learner(config: MemoryConfig, patients: range, episodes: int) -> MemoryLearn
 
 def test_it_learns_what_no_reading_says(tiny: MemoryConfig, tmp_path: Path):
     """Readings of an episode err alike, so that their mean errs too: looking back mends that."""
-    made = learner(replace(tiny, episodes=3_200, batch_size=16), range(40), 10)
+    made = learner(replace(tiny, episodes=1_600, batch_size=16), range(40), 10)
     before = made.look(0, tmp_path)
     optimizer = made.optimizers()["network"]
-    for batch in made.batches(0, 3_200):
+    for batch in made.batches(0, 1_600):
         for group in optimizer.param_groups:
-            group["lr"] = 1e-3
+            group["lr"] = 2e-3
         (update,) = made.updates(made.modules(), batch)
         optimizer.zero_grad()
         update.loss.backward()
         optimizer.step()
-    after = made.look(3_200, tmp_path)
+    after = made.look(1_600, tmp_path)
     assert after["validation/position_error"] < 0.6 * before["validation/position_error"]
     assert after["validation/chosen"] > before["validation/chosen"]
     assert after["validation/passed"] == before["validation/passed"] > 0.5
@@ -205,19 +237,15 @@ def test_batches_are_functions_of_what_went_before(tiny: MemoryConfig):
 
 
 def test_training_saves_what_it_loads_and_each_sees_through_the_servo_of_its_seed(
-    tiny: MemoryConfig, tmp_path: Path
+    tiny: MemoryConfig, trained: dict[int, tuple[ServoMemoryAgent, Path]]
 ):
     tokens, seen, labels = some(3, LONGEST)
-    for seed in (0, 1):
-        folder = tmp_path / f"memory-{seed}"
-        trained = ServoMemoryAgent.train(tiny, folder, seed=seed, progress=False)
+    for seed, (agent, folder) in trained.items():
         loaded = ServoMemoryAgent.load(folder)
-        assert trained.recall is not None and loaded.recall is not None
+        assert agent.recall is not None and loaded.recall is not None
         with torch.no_grad():
             ours, theirs = (
-                each.recall.recall(tokens, seen, labels)
-                for each in (trained, loaded)
-                if each.recall
+                each.recall.recall(tokens, seen, labels) for each in (agent, loaded) if each.recall
             )
         assert all(torch.equal(*both) for both in zip(ours, theirs, strict=True))
         own = ServoAgent.load(Path(tiny.members) / (f"seed-{seed}" if seed else ""))
@@ -232,8 +260,13 @@ def test_training_saves_what_it_loads_and_each_sees_through_the_servo_of_its_see
         assert not kept & {"done", "checkpoint"}, "nothing of the work is left"
 
 
-def test_a_killed_run_goes_on(tiny: MemoryConfig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    whole = ServoMemoryAgent.train(tiny, tmp_path / "whole", progress=False)
+def test_a_killed_run_goes_on(
+    tiny: MemoryConfig,
+    trained: dict[int, tuple[ServoMemoryAgent, Path]],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+):
+    whole, _ = trained[0]
     acted: list[int] = []
 
     def until_killed(agent: Any, patient: int, config: EpisodeConfig, seed: int) -> Episodes:
@@ -286,6 +319,7 @@ def test_what_it_learns_from_is_what_it_saw(
     assert bool(((seen.truths >= 0.0) & (seen.truths <= 1.0)).all())
     again = act_on(agent, patient, config, 0)
     assert all(torch.equal(*both) for both in zip(seen, again, strict=True))
+    monkeypatch.setattr(episodes, "LONGEST", 1)
     assert not torch.equal(act_on(agent, patient, config, 1).tokens[:, 0], seen.tokens[:, 0])
 
 
@@ -306,7 +340,9 @@ class Knows(RecallNetwork):
         return centre, (3.0 - 20.0 * away).masked_fill(~seen, -torch.inf)
 
 
-def test_it_goes_where_its_memory_leads_and_rests_at_the_best(still, servo: Path):
+def test_it_goes_where_its_memory_leads_and_rests_at_the_best(
+    still, servo: Path, short_search: None
+):
     core = make_core("AnyView-patients", 6, observation="multimodal", phantom=still)
     knows = Knows(core)
     agent = ServoMemoryAgent(MemoryConfig(), eyes_of(str(servo), 0, "cpu").network, knows)
@@ -316,10 +352,11 @@ def test_it_goes_where_its_memory_leads_and_rests_at_the_best(still, servo: Path
     final = rollout(core, agent, seeds).final
     assert final["declared"].all() and final["success"].mean() > 0.8
     assert float(final["position_error"].max()) < 0.004, "the eyes alone see nothing"
-    assert final["steps"].max() < core.task.max_steps
+    assert final["steps"].min() > SOON, "the memory leads"
+    assert final["steps"].max() + CHOOSE - SOON < core.task.max_steps
 
 
-def test_a_row_does_not_depend_on_its_batch(still, servo: Path):
+def test_a_row_does_not_depend_on_its_batch(still, servo: Path, short_search: None):
     agent = ServoMemoryAgent(MemoryConfig(), eyes_of(str(servo), 0, "cpu").network, network())
     seeds = torch.arange(3)
     case = seeds % len(still.pool)
@@ -328,7 +365,7 @@ def test_a_row_does_not_depend_on_its_batch(still, servo: Path):
     one = make_core("AnyView-patients", 1, observation="multimodal", phantom=still)
     alone = rollout(one, agent, seeds[2:], case[2:]).actions
     assert [int(each[2]) for each in whole[: len(alone)]] == [int(each[0]) for each in alone]
-    assert len(alone) > 30 and len(ABOUT) + CHOICES == 5
+    assert len(alone) > SOON + 10 and len(ABOUT) + CHOICES == 5
 
 
 def test_an_empty_folder_of_its_name_is_no_servo(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
@@ -339,6 +376,8 @@ def test_an_empty_folder_of_its_name_is_no_servo(tmp_path: Path, monkeypatch: py
 
 
 def test_what_does_not_fit_is_refused(tiny: MemoryConfig, servo: Path, tmp_path: Path):
+    servo = shutil.copytree(servo, tmp_path / "servo")
+    tiny = replace(tiny, members=str(servo))
     with pytest.raises(RacinesError, match=r"no training of seed 2 \(seeds 0, 1\)"):
         ServoMemoryAgent.train(tiny, tmp_path / "out", seed=2, progress=False)
     assert not (tmp_path / "out").exists()

@@ -326,7 +326,7 @@ def test_frames_are_as_large_as_the_network_looks_at(tmp_path):
     assert torch.equal(shrink(seen[128], 128), seen[128])
 
 
-def test_several_processes_draw_and_visit_what_one_does(tmp_path, monkeypatch):
+def test_several_processes_draw_and_visit_what_one_does(tmp_path, monkeypatch, warm_workers):
     began: list[int] = []
 
     class Counted(LocalEngine):

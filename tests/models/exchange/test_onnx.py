@@ -1,8 +1,6 @@
 """Generators as ONNX files: what is exported, what it draws, and which files are refused."""
 
 import json
-import subprocess
-import sys
 
 import numpy as np
 import pytest
@@ -21,6 +19,7 @@ from racines_models.networks.painting import OnnxModule
 from racines_models.protocol import Run
 from racines_models.registry import open_generator
 from racines_models.training.objective import Training
+from tests.conftest import command
 
 TINY = Training(images=320, batch_size=16, ema=0.0, sample_every=320, checkpoint_every=320)
 
@@ -162,7 +161,7 @@ sys.modules["onnxruntime"] = None
 from racines_models.registry import open_generator
 open_generator("x.onnx")
 """
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    done = command(tmp_path, "python", "-c", code, code=1)
     assert 'pip install "racines[onnx]"' in done.stderr
 
 

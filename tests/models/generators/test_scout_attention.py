@@ -24,6 +24,7 @@ from racines_models.training.episodes import EpisodeCourse, asked_of, scouts_of
 from racines_models.training.objective import Training
 from tests.models.conftest import FakeStore, pictures, random_parameters
 
+pytestmark = pytest.mark.usefixtures("scouts_once")
 TINY = ScoutAttentionConfig(
     width=8, frames=4, training=Training(images=32, batch_size=16, precision="fp32")
 )

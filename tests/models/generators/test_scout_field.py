@@ -19,6 +19,7 @@ from racines_models.training.episodes import asked_of
 from racines_models.training.objective import Training
 from tests.models.generators.test_scout_attention import FakeScouts, scout_of, solid
 
+pytestmark = pytest.mark.usefixtures("scouts_once")
 TINY = ScoutFieldConfig(
     width=8, frames=4, prior=8, channels=8, fit=2,
     training=Training(images=32, batch_size=16, precision="fp32"),
@@ -30,6 +31,21 @@ def store():
     return FakeScouts()
 
 
+def own(generator):
+    """Return a copy whose weights and settings a test may change."""
+    generator = copy.copy(generator)
+    generator.nets = copy.deepcopy(generator.nets)
+    return generator
+
+
+@pytest.fixture(scope="module")
+def fitted(store, tmp_path_factory):
+    """Return one that has met nobody."""
+    generator = ScoutField(TINY)
+    generator.fit(store, Run(tmp_path_factory.mktemp("field"), progress=False))
+    return generator
+
+
 class TestScoutField(GeneratorContract):
     generator_class = ScoutField
     config = TINY
@@ -39,9 +55,7 @@ class TestScoutField(GeneratorContract):
 
     def own(self, store, folder):
         """Return one whose weights a test may change."""
-        generator = self.fitted(store, folder)
-        generator.nets = copy.deepcopy(generator.nets)
-        return generator
+        return own(self.fitted(store, folder))
 
     def test_where_a_patient_lies_counts_for_nothing(self, store, tmp_path):
         """Scout and poses turned and moved together give the same images, but for rounding."""
@@ -153,7 +167,7 @@ def test_the_prior_is_learned(store, tmp_path):
         error = float((drawn.float() - truth.float()).abs().mean())
         return error, next(generator.net("painter").prior.parameters()).detach()
 
-    (little, first), (more, last) = trained(16), trained(240)
+    (little, first), (more, last) = trained(16), trained(160)
     assert more < 0.97 * little, (little, more)
     assert not torch.equal(first, last)
 
@@ -168,10 +182,9 @@ def test_impossible_settings_are_refused(change, message):
         ScoutFieldConfig(**change)
 
 
-def test_a_field_is_fitted_to_the_scout(store, tmp_path):
+def test_a_field_is_fitted_to_the_scout(store, fitted):
     """Steps of fitting change the field, each scout's own; none leaves it as the prior says."""
-    generator = ScoutField(TINY)
-    generator.fit(store, Run(tmp_path, progress=False))
+    generator = own(fitted)
     torch.manual_seed(0)
     torch.nn.init.normal_(generator.net("painter").painter.decoder.leave.weight, std=0.05)
     before = {key: value.clone() for key, value in generator.tensors().items()}
@@ -187,10 +200,9 @@ def test_a_field_is_fitted_to_the_scout(store, tmp_path):
     assert all(weight.grad is None for weight in generator.net("painter").parameters())
 
 
-def test_fitting_brings_frames_that_it_does_not_see_nearer(store, tmp_path):
+def test_fitting_brings_frames_that_it_does_not_see_nearer(store, fitted):
     """A field fitted to most frames of a scout paints the rest better than that of the prior."""
-    generator = ScoutField(TINY)
-    generator.fit(store, Run(tmp_path, progress=False))
+    generator = own(fitted)
     torch.manual_seed(0)
     torch.nn.init.normal_(generator.net("painter").painter.decoder.leave.weight, std=0.05)
     images, parameters = scout_of(store)
@@ -205,18 +217,16 @@ def test_fitting_brings_frames_that_it_does_not_see_nearer(store, tmp_path):
     assert error(30) < 0.98 * error(0)
 
 
-def test_few_frames_are_enough(store, tmp_path):
-    generator = ScoutField(TINY)
-    generator.fit(store, Run(tmp_path, progress=False))
+def test_few_frames_are_enough(store, fitted):
+    generator = own(fitted)
     images, parameters = scout_of(store)
     least = generator.scout
     met = generator.adapt(images[:least], parameters[:least], 0)
     assert met.generate(parameters[-2:], 0).shape == (2, 128, 128)
 
 
-def test_a_frame_is_painted_without_itself_and_its_neighbours(store, tmp_path, monkeypatch):
-    generator = ScoutField(TINY)
-    generator.fit(store, Run(tmp_path, progress=False))
+def test_a_frame_is_painted_without_itself_and_its_neighbours(store, fitted, monkeypatch):
+    generator = own(fitted)
     images, parameters = scout_of(store)
     places, asked = parameters_to_pose(parameters).position, []
     painter = generator.net("painter")
