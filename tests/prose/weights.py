@@ -37,6 +37,8 @@ GROUPS = {
     "envs/weights/servo": "agent on patients, three trainings, one network for all views",
     "envs/weights/servo-full": "the servo at all pixels, three trainings",
     "envs/weights/servo-memory": "agent on patients that sees through the servo, three trainings",
+    "envs/weights/servo-memory-full": "the same through `servo-full`, three trainings, in eight "
+    "bits",
     "envs/weights/patients/ppo-*": "policies on still patients that see the pose, three trainings "
     "a view",
     "envs/weights/beating/ppo-*": "the same on beating hearts",
@@ -48,7 +50,7 @@ GROUPS = {
     "a generator's pictures",
     "envs/weights/ppo-multimodal*": "policies that see picture and pose",
     "envs/weights/*": "policies that see the pose, up to three trainings each",
-    "envs/weights": "such policies as ONNX files",
+    "envs/weights": "such a policy as an ONNX file",
 }
 """What is in a folder, the first pattern that fits; folders of further trainings belong to it."""
 

@@ -165,7 +165,8 @@ class _Asked:
             wanted = {"view": view} if "view" in known else {}
             own = own if "backend" in known else {k: v for k, v in own.items() if k != "backend"}
         config: Any = fill(cls.Config, entry.settings | given(**wanted) | own | more, entry.where)
-        what = {"agent": entry.agent, "config": arms_told(config), "env": self.env}
-        what |= {"data": self.data}
+        beside = getattr(cls, "beside", ())
+        decides = {key: each for key, each in arms_told(config).items() if key not in beside}
+        what = {"agent": entry.agent, "config": decides, "env": self.env, "data": self.data}
         where = {"phantom": phantom, "data": self.data}
         return Training(_Fit(cls, config, where), Run(entry.folder), entry.repeats, what)

@@ -49,7 +49,8 @@ def test_a_published_floor_goes_to_its_poses_and_declares(name):
 
 @pytest.mark.parametrize(
     "folder",
-    first_of(sorted(runs(patients=True), reverse=True)),  # with a memory, through the other's eyes
+    # First the one with a memory, through the other's eyes.
+    first_of(sorted(runs(patients=True), key=lambda folder: folder.name != "servo-memory")),
     ids=lambda folder: folder.name,
 )
 @pytest.mark.parametrize(
@@ -86,10 +87,10 @@ def test_a_published_policy_loads_and_arrives(folder):
     assert int(final["success"].sum()) >= STARTS - 1
 
 
-@pytest.mark.parametrize("name", [*sorted(p.stem for p in WEIGHTS.glob("*.onnx")), "ppo-image"])
+@pytest.mark.parametrize("name", ["behaviour-cloning", "dqn", "ppo", "ppo-image"])
 def test_its_onnx_file_acts_alike(name, tmp_path):
     folder, path = WEIGHTS / name, WEIGHTS / f"{name}.onnx"
-    if not path.is_file():  # a large one is exported when it is wanted
+    if not path.is_file():  # one is published as such; others are exported when they are wanted
         path = tmp_path / path.name
         export_run(folder, path)
     agent, opened = load_agent(read(folder)["agent"], folder), load_agent(str(path), folder)

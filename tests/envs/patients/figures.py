@@ -19,7 +19,7 @@ RESULT = Path(__file__).parents[3] / "docs/results/patient-tasks.json"
 BOARDS = RESULT.parents[2] / "leaderboard/results"
 AGENTS = (
     "random", "constant-pose", "blind-tour", "ppo", "ppo-belief", "servo", "servo-full",
-    "servo-memory", "planner",
+    "servo-memory", "servo-memory-full", "planner",
 )  # fmt: skip
 TIERS = {"patients": "still", "beating": "beating"}
 Found = dict[tuple[str, ...], dict[str, Any]]
@@ -135,13 +135,14 @@ def fill(found: Found) -> None:
     tables = {"success_test": success(found, "test"), "ends": ends(found, "test")}
     tables |= {"pathology": by_pathology(found, "servo", "test")}
     tables |= {"gains": gains("servo-memory", "servo"), "pixels": gains("servo-full", "servo")}
+    tables |= {"both": gains("servo-memory-full", "servo-full")}
     shown = {
         agent: {
             told: round(100 * found[agent, "A4C", tier, "test"]["metrics"][
                 "success_declared"]["value"], 1)
             for tier, told in TIERS.items()
         }
-        for agent in ("servo", "servo-full", "servo-memory", "planner")
+        for agent in ("servo", "servo-full", "servo-memory", "servo-memory-full", "planner")
         if (agent, "A4C", "beating", "test") in found
     }  # fmt: skip
     told = found["servo", "A4C", "patients", "test"]["metrics"]["success_declared"]["settings"]

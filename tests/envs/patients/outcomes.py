@@ -41,9 +41,10 @@ RESULT = ROOT / "docs/results/agent-outcomes.json"
 THRESHOLDS, LEARNING = (ROOT / f"docs/images/agent-{name}.png" for name in
                         ("thresholds", "learning"))  # fmt: skip
 WEIGHTS = ROOT / "envs/weights"
-BEST = "servo-full"
-"""First on most tasks, of whom most is told."""
-DRAWN = ("constant-pose", "ppo-belief", "servo", "servo-memory", BEST, "planner")
+BEST = {"patients": "servo-full", "beating": "servo-memory-full"}
+"""First on most tasks of a tier, of whom most is told."""
+DRAWN = ("constant-pose", "ppo-belief", "servo", "servo-memory", "servo-full", "servo-memory-full",
+         "planner")  # fmt: skip
 AXES = {
     "position_error": ("mm to the patient's nominal pose", np.linspace(0.0, 30.0, 121)),
     "rotation_error": ("degrees to it", np.linspace(0.0, 30.0, 121)),
@@ -110,8 +111,9 @@ def draw_learning(path: Path) -> dict[str, int]:
     counted = {}
     panels = (
         (reading, "servo", "images", "validation/position_error", 1e-6, 1.0),
-        (reading, BEST, "images", "validation/position_error", 1e-6, 1.0),
+        (reading, "servo-full", "images", "validation/position_error", 1e-6, 1.0),
         (choosing, "servo-memory", "episodes", "validation/chosen", 1e-3, 100.0),
+        (choosing, "servo-memory-full", "episodes", "validation/chosen", 1e-3, 100.0),
         (acting, "ppo-belief", "frames", "validation/success", 1e-3, 100.0),
     )
     for axes, agent, counter, key, each, factor in panels:
@@ -124,7 +126,7 @@ def draw_learning(path: Path) -> dict[str, int]:
     reading.set(xlabel="million images", ylabel="mean error along an axis, mm", ylim=(0, None))
     reading.set_title("readings")
     choosing.set(xlabel="thousand episodes", ylabel="its choice shows the view, %", ylim=(0, 100))
-    choosing.set_title("what a memory chooses")
+    choosing.set_title("what memories choose")
     acting.set(xlabel="thousand steps", ylabel="ends at the view, %", ylim=(0, 100))
     acting.set_title("a policy on the belief")
     for axes in (reading, choosing, acting):
@@ -141,13 +143,19 @@ def never_found(agent: str, view: str, tier: str) -> int:
     return sum(not found[figures.units == unit].any() for unit in np.unique(figures.units))
 
 
+def has_row(agent: str, view: str, tier: str) -> bool:
+    """Return whether a board has an agent's row."""
+    return (BOARDS / tier / "patient-agents" / f"{agent}-{view.lower()}.parquet").is_file()
+
+
 def never() -> dict[str, Any]:
     """Return the table of patients in whom an agent always fails."""
     agents = [each for each in DRAWN if each != "constant-pose"]
     rows = []
     for agent in agents:
         for tier, told in TIERS.items():
-            cells = [str(never_found(agent, view, tier)) for view in VIEWS]
+            cells = [str(never_found(agent, view, tier)) if has_row(agent, view, tier) else "–"
+                     for view in VIEWS]  # fmt: skip
             rows.append([agent, told, *cells])
     return {"columns": ["agent", "hearts", *VIEWS], "rows": rows}
 
@@ -157,7 +165,8 @@ def by_pathology(found: Found) -> dict[str, Any]:
     rows = []
     for tier, told in TIERS.items():
         for name in PATHOLOGIES:
-            scores = [found[BEST, view, tier, "test"]["by_pathology"].get(name) for view in VIEWS]
+            scores = [found[BEST[tier], view, tier, "test"]["by_pathology"].get(name)
+                      for view in VIEWS]  # fmt: skip
             if all(scores):
                 units = scores[0]["success_declared"]["settings"]["units"]
                 cells = [_of_few(each["success_declared"]) for each in scores]
@@ -167,7 +176,7 @@ def by_pathology(found: Found) -> dict[str, Any]:
 
 def missing(view: str, tier: str) -> list[float]:
     """Return the shares of the best agent's failures, per cent: view passed through, and not."""
-    figures = evidence_of(BEST, view, tier).figures
+    figures = evidence_of(BEST[tier], view, tier).figures
     success, passed = (figures[name].values for name in ("success_declared", "reached"))
     assert success is not None and passed is not None
     failed = success == 0
@@ -186,7 +195,7 @@ def ends(found: Found) -> dict[str, Any]:
     rows = []
     for tier, told in TIERS.items():
         for view in VIEWS:
-            metrics = found[BEST, view, tier, "test"]["metrics"]
+            metrics = found[BEST[tier], view, tier, "test"]["metrics"]
             shares = [percent(metrics[name]) for name in ("false_declarations", "reached")]
             missed = [f"{share:.0f} %" for share in missing(view, tier)]
             rows.append([
@@ -204,9 +213,9 @@ def aims(found: Found, gaps: Mapping[str, float]) -> dict[str, Any]:
     rows = []
     for tier, told in TIERS.items():
         mean, least, error = AIMS[tier]
-        metrics = [found[BEST, view, tier, "test"]["metrics"] for view in VIEWS]
+        metrics = [found[BEST[tier], view, tier, "test"]["metrics"] for view in VIEWS]
         shares = [100 * each["success_declared"]["value"] for each in metrics]
-        missed = [never_found(BEST, view, tier) for view in VIEWS]
+        missed = [never_found(BEST[tier], view, tier) for view in VIEWS]
         distance, angle = (
             [each[f"{name}_error_median"]["value"] for each in metrics]
             for name in ("position", "rotation")
@@ -272,10 +281,11 @@ def starting(tier: str) -> dict[str, float]:
 
 
 def decision() -> dict[str, float]:
-    """Return the median time of the best agent's decision and its step, a probe alone, ms."""
+    """Return the median time of agents' decision and its step, a probe alone, ms."""
     took = {}
-    for agent in ("servo", BEST):
-        own: Any = load_agent("servo", WEIGHTS / agent, "cpu")
+    kinds = {"servo": "servo", "servo-full": "servo", "servo-memory-full": "servo-memory"}
+    for agent, kind in kinds.items():
+        own: Any = load_agent(kind, WEIGHTS / agent, "cpu")
         own.view = "A4C-beating"
         core: ScanCore = core_for(own, get_task("A4C-beating"), 1, reward="oracle",
                                   phantom=make_ward("beating", "validation", 1, "cpu"))  # fmt: skip
@@ -301,8 +311,8 @@ def gap(path: Path, found: Found) -> list[str]:
     tier, view = task["definition"]["tier"], task["definition"]["view"]
     if task["split"] != "train" or view != "A4C":
         raise ValueError(f"{path}: not of A4C of train patients")
-    test = found[BEST, view, tier, "test"]["metrics"]
-    if train["weights"]["files"] != found[BEST, view, tier, "test"]["weights"]["files"]:
+    test = found[BEST[tier], view, tier, "test"]["metrics"]
+    if train["weights"]["files"] != found[BEST[tier], view, tier, "test"]["weights"]["files"]:
         raise ValueError(f"{path}: of other weights than the board's")
     cells = [percent(each["success_declared"]) for each in (train["metrics"], test)]
     told = [measured(train["metrics"], "position_error", "mm"),

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import torch
 
+from racines_data.config import read_params
 from racines_data.engines.local import LocalEngine
 from racines_data.errors import RacinesError
 from racines_data.geometry import Pose, axis_angle_to_matrix, geodesic, matmul3
@@ -19,6 +20,7 @@ from racines_envs.agents.servo.belief import Belief, reading
 from racines_envs.agents.servo.frames import FrameConfig, Frames, draw_poses, shard, shrink, ways_to
 from racines_envs.agents.servo.learner import Bank, ServoConfig, ServoLearner
 from racines_envs.agents.servo.visits import VisitConfig, visit
+from racines_envs.cli.training import _Asked
 from racines_envs.studies.robustness.core import DisturbedCore
 from racines_envs.studies.robustness.disturbances import DISTURBANCES
 from racines_envs.task.tiers import middles
@@ -373,3 +375,14 @@ def test_a_round_has_a_pace_of_its_own(tiny):
 def test_shapes_that_cannot_be_are_refused(wrong, told):
     with pytest.raises(RacinesError, match=told):
         ServoConfig(**wrong)
+
+
+@pytest.mark.parametrize("run", ["servo", "servo-memory"])
+def test_a_training_that_is_done_stays_so_with_other_processes_or_another_store(run):
+    values = read_params(profile="patients")
+
+    def what(**more):
+        return _Asked(*[None] * 7, more=more).training(run, values).what
+
+    assert what(processes=7, store="elsewhere") == what()
+    assert what(batch_size=7) != what()

@@ -40,6 +40,8 @@ class ServoAgent:
     name: ClassVar[str] = "servo"
     Config: ClassVar[type] = ServoConfig
     observation: str = "multimodal"
+    beside: ClassVar[frozenset[str]] = frozenset({"processes", "store"})
+    """Settings on which nothing that is learned depends: who is done stays so if they change."""
 
     def __init__(self, config: Any, network: ServoNetwork | ServoEnsemble) -> None:
         """Take a trained network."""
