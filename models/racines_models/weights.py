@@ -110,7 +110,8 @@ def load_weights(
     except (SafetensorError, OSError) as error:
         raise RacinesError(f"{path}: cannot be read as safetensors: {error}; {remedy}") from error
     half = (torch.float16, torch.bfloat16)
-    steps = {key: tensors.pop(key + STEP) for key in list(tensors) if key + STEP in tensors}
+    narrow = [key for key, each in tensors.items() if each.dtype == torch.int8]
+    steps = {key: tensors.pop(key + STEP) for key in narrow if key + STEP in tensors}
     wide = {key: each.float() if each.dtype in half else each for key, each in tensors.items()}
     return wide | {key: step * wide[key].float() for key, step in steps.items()}
 

@@ -73,3 +73,10 @@ def test_other_forms_and_weights_that_do_not_fit_are_refused(tmp_path):
     for form in ("float16", "int8"):
         with pytest.raises(RacinesError, match="policy.safetensors: net.weight is NaN"):
             publish(run, tmp_path / form, form)
+
+
+def test_a_name_that_only_looks_like_a_step_is_a_tensor_of_its_own(tmp_path):
+    wanted = {"clock": torch.rand(3), "clock.step": torch.rand(3)}
+    save_weights(tmp_path / "model.safetensors", wanted)
+    found = load_weights(tmp_path / "model.safetensors")
+    assert all(torch.equal(found[key], each) for key, each in wanted.items()) and len(found) == 2

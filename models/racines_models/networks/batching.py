@@ -65,7 +65,9 @@ class Lasting:
 
     def __call__(self, function: Callable[[Tensor], Tensor], images: Tensor) -> Tensor:
         """Apply a function to (B, …) images as `in_fixed_batches` does; it has to be the same."""
-        if images.device.type != "cpu" or images.shape != self._images.shape:
+        if images.device.type != "cpu":
+            return in_fixed_batches(function, images)
+        if images.shape != self._images.shape:
             said = in_fixed_batches(function, images)
         else:
             new = (images != self._images).flatten(1).any(1).nonzero().squeeze(1)
