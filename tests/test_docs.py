@@ -19,7 +19,15 @@ pytestmark = [pytest.mark.docs, pytest.mark.usefixtures("drawn_pictures")]
 PAGES = sorted((ROOT / "docs").glob("*.md"))
 GUIDES = [page for page in PAGES if not page.name.startswith("walk-")]
 """Pages on a dataset that is there; the walk-throughs start from nothing: see test_walks.py."""
-LONG = {"audit.md", "own-anatomy.md", "patients.md", "scores.md", "submit.md", "table.md"}
+LONG = {
+    "agents.md",
+    "audit.md",
+    "own-anatomy.md",
+    "patients.md",
+    "scores.md",
+    "submit.md",
+    "table.md",
+}
 """Those whose blocks score or bake for longer than others: `.ci/run` leaves them to each week."""
 NAMES = [page.name for page in PAGES]
 LOADED = re.compile(r'<(?:script|img|iframe|source|link)\b[^>]*(?:src|href)="(https?:)?//[^"]*"')

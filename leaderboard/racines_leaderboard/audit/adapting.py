@@ -10,7 +10,7 @@ from racines_data.errors import RacinesError
 from racines_data.patients.patient import PATIENTS_VERSION
 from racines_data.patients.scouts import POSES
 from racines_data.patients.splits import seeds_of
-from racines_data.store.asked import AskedStore, asked_digest
+from racines_data.store.asked import asked_digest
 from racines_data.store.scouts import FOLDER, ScoutsConfig, ScoutStore
 from racines_leaderboard.audit.bench import Bench
 from racines_leaderboard.audit.verdicts import Verdict, equal, tell, unknown
@@ -65,7 +65,7 @@ def asked_items(subject: str, figures: Figures, bench: Bench) -> Verdict:
 def score_run(record: Record, bench: Bench, folder: Path, further: Sequence[Path] = ()) -> Any:
     """Return the scores of a generator, its trainings in folders, by the judges it names.
 
-    Scouts and what is asked are drawn anew: what a former run has kept is not looked at.
+    Scouts and what is asked are drawn anew by the bench: no former run is looked at.
 
     Raises:
         RacinesError: a judge that is not here.
@@ -77,10 +77,9 @@ def score_run(record: Record, bench: Bench, folder: Path, further: Sequence[Path
     judges = Judges(
         PoseRegressor.load(pose), SegmentationJudge.load(outlines), InceptionFeatures("cpu")
     )
-    ground = AskedStore(config.split, config.patients, config.seed)
     own = section(bench.settings or {}, "patient_generators").get(name)
     generators = open_for_patients(name, folder, further, settings=own)
-    scores = score_on_patients(generators, ground, config, name, judges)
+    scores = score_on_patients(generators, bench.asked, config, name, judges)
     there = (folder / "config.json").is_file()
     weights = (weights_of(name, folder, further) if there else None) or None
     content: dict[str, Any] = scores.content | {"weights": weights}

@@ -14,6 +14,7 @@ from racines_data.config import PROFILES, fill, read_params, section
 from racines_data.errors import RacinesError
 from racines_data.files import sha256_file
 from racines_data.manifest import MANIFEST
+from racines_data.store.asked import AskedStore
 from racines_data.store.frames import FrameStore, open_store
 from racines_envs.evaluation.patients import PatientsConfig
 from racines_envs.evaluation.run import EvaluationConfig
@@ -153,6 +154,12 @@ class Bench:
         """How the board scores generators on patients, likewise."""
         stated = section(self.settings or {}, "patient_scores")
         return fill(PatientScoresConfig, stated, "patient_scores")
+
+    @functools.cached_property
+    def asked(self) -> AskedStore:
+        """What the board asks of generators on patients, drawn anew: no former run is looked at."""
+        config = self.patient_scores
+        return AskedStore(config.split, config.patients, config.seed)
 
     @functools.cached_property
     def motion_scores(self) -> MotionScoresConfig:

@@ -35,6 +35,7 @@ def told(folder: Path, *words: str) -> dict[str, Any]:
     return json.loads(command(folder, "racines", *words).stdout)
 
 
+@pytest.mark.thorough
 @pytest.mark.slow
 def test_an_evaluation_on_ray_has_the_numbers_of_one_here(place: Path, address: str):
     one = told(place, *EVAL, "--out", "here/random.json")

@@ -20,7 +20,10 @@ def elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
-@pytest.mark.parametrize("name", ["racines/SC-v0", "racines/SC-patients-v0"])
+@pytest.mark.parametrize(
+    "name",
+    ["racines/SC-v0", pytest.param("racines/SC-patients-v0", marks=pytest.mark.thorough)],
+)
 def test_a_task_is_made_with_its_default_reward_and_says_once_whose_grader(
     elsewhere: Path, name: str, capsys: pytest.CaptureFixture[str]
 ):

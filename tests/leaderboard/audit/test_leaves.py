@@ -200,10 +200,10 @@ def with_its_file(
     [
         ("judged", 250, 6),
         ("handed_in", 150, 6),
-        ("guided", 180, 6),
-        ("scanned", 600, 30),
+        pytest.param("guided", 180, 6, marks=pytest.mark.thorough),
+        pytest.param("scanned", 600, 30, marks=pytest.mark.thorough),
         ("learned", 500, 30),
-        ("painted", 250, 12),
+        pytest.param("painted", 250, 12, marks=pytest.mark.thorough),
     ],
 )
 def test_every_leaf_is_caught_or_declared(name, least, one_in, every, request):

@@ -80,6 +80,7 @@ def test_what_recomputed_scores_rest_on_lies_beside_their_record(ground, tmp_pat
 TWO = (("a.onnx", 0.02), ("b.onnx", 0.03))
 
 
+@pytest.mark.thorough
 def test_two_generators_are_two_seeds_of_one_method(ground, tmp_path):
     digest = open_store(ground.data).manifest["digest"]
     folder = inbox(tmp_path, "in")

@@ -27,6 +27,7 @@ scores: {samples: 24, speed: false}
 """
 
 
+@pytest.mark.thorough
 def test_generators_run_unchanged(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     for module in (features, scoring):
         monkeypatch.setattr(module, "InceptionFeatures", Coarse)

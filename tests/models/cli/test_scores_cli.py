@@ -76,6 +76,7 @@ def refused(*words: str) -> str:
     return str(caught.value)
 
 
+@pytest.mark.thorough
 def test_grader_then_generator_then_scores(here):
     metrics = json.loads(invoke("train", "grader", "--json"))
     store = open_store(here / "data/racines")

@@ -42,6 +42,7 @@ def figures(content: dict) -> dict:
     return {name: content["metrics"][name] for name in FIGURES}
 
 
+@pytest.mark.thorough
 def test_every_road_gives_the_same_scores(here):
     invoke("train", "generator", "vae-gan", "--device", "cpu")
     by_name = scores("vae-gan")

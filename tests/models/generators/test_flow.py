@@ -15,7 +15,6 @@ from racines_models.protocol import Run
 from racines_models.registry import open_generator
 from racines_models.testing import GeneratorContract
 from racines_models.training.objective import Training
-from tests.variants import first_of
 
 TINY = FlowConfig(
     width=8,
@@ -40,8 +39,8 @@ class TestFlow(GeneratorContract):
         assert generator.config == TINY
         assert len(set(drawn)) == 4
 
-    @pytest.mark.slow
-    @pytest.mark.parametrize("steps", first_of([1, 2]))
+    @pytest.mark.thorough
+    @pytest.mark.parametrize("steps", [1, 2])
     def test_exported_file_draws_the_same(self, store, tmp_path, steps):
         pytest.importorskip("onnxscript")
         generator, poses = self.fitted(store, tmp_path), self.parameters(store, 5)

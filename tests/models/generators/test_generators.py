@@ -126,6 +126,7 @@ class TestVaeGan(GeneratorContract):
         assert len(set(files)) == 4
 
 
+@pytest.mark.thorough
 @pytest.mark.slow
 def test_vae_gan_learns_to_follow_the_pose(store, tmp_path):
     """In 200 small steps it beats the mean image, and only at the right pose."""

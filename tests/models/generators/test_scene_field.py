@@ -225,6 +225,7 @@ def test_wrong_calibration_is_found_out(tmp_path):
     assert found["turn_rad"][2] == pytest.approx(store.turn[2], abs=0.04)
 
 
+@pytest.mark.thorough
 def test_an_onnx_file_draws_what_the_class_draws(store, tmp_path):
     """Within a gray level, but for points that fall on the other side of a voxel's edge."""
     generator = SceneField(TINY)
