@@ -25,6 +25,7 @@ SECTIONS = {
     "data.multi_phantom": "racines_data.sources.phantom:MultiPhantomConfig",
     "data.SOURCE": "racines.sources",
     "grader": "racines_models.judges.grader.model:GraderConfig",
+    "grader: {architecture: servo}": "racines_models.judges.grader.servo:ServoGraderConfig",
     "student": "racines_models.judges.student.model:StudentConfig",
     "pose": "racines_models.judges.pose.regressor:PoseConfig",
     "segmentation": "racines_models.judges.segmentation.model:SegmentationConfig",
@@ -53,6 +54,8 @@ SECTIONS = {
 """What fills each section: a dataclass, or that of each plug-in of a kind."""
 KINDS = {bool: "true or false", int: "integer", float: "number", str: "text", Path: "path"}
 TOLD = {
+    "grader: {architecture: servo}": "A grader that begins as a servo; `architecture` is "
+    "`resnet18`, the section above, where it is left out.",
     "": "What stands beside the sections.",
     "speed": "Of `racines study speed --set NAME=VALUE` alone: a file has no such section.",
     "patient_generators.NAME": "Generators that meet a patient by a scout: the fields of "

@@ -181,7 +181,7 @@ def test_an_unknown_architecture_is_refused(trained, tmp_path):
     (tmp_path / "config.json").write_text(json.dumps(described))
     with pytest.raises(
         RacinesError,
-        match="config.json: unknown architecture 'vit': choose one of resnet18, student",
+        match="config.json: unknown architecture 'vit': choose one of resnet18, servo, student",
     ):
         Grader.load(tmp_path)
 

@@ -21,11 +21,12 @@ def train_grader(
     from racines_data.store.frames import open_store
     from racines_models.cli.output import show_training
     from racines_models.judges.grader import training as grader_training
-    from racines_models.judges.grader.model import GraderConfig
+    from racines_models.judges.grader.model import grader_of
     from racines_models.protocol import Run
 
     values = read_settings(params, profile)
-    settings = fill(GraderConfig, section(values, "grader"), "grader")
+    kind, stated = grader_of(section(values, "grader"))
+    settings = fill(kind.Config, stated, "grader")
     run = Run(out, seed_of(values, seed), device, resume, progress=not as_json)
-    metrics = grader_training.train_grader(open_store(data, config), settings, run)
+    metrics = grader_training.train_grader(open_store(data, config), settings, run, kind)
     show_training("grader", out, metrics, as_json)

@@ -13,7 +13,7 @@ from typing import Any, ClassVar, NamedTuple
 import torch
 from torch import Tensor
 
-from racines_data.config import fill
+from racines_data.config import Settings, fill
 from racines_data.errors import RacinesError
 from racines_data.files import sha256_file, write_json
 from racines_data.plugins import Plugins
@@ -132,6 +132,10 @@ class Grader(Judge):
         """Return an untrained network."""
         return GraderNetwork(config.input_size, config.width, labels)
 
+    @classmethod
+    def begin(cls, network: GradingNetwork, config: Any) -> None:
+        """Give an untrained network what its training begins from: here nothing."""
+
     @torch.inference_mode()
     def probabilities_and_grade(self, images: Tensor) -> tuple[Tensor, Tensor]:
         """Return (B, labels) calibrated probabilities and (B,) grades in 0-10 of uint8 images.
@@ -214,6 +218,22 @@ class Grader(Judge):
             features = self.network.encoder(x)
             logits, grades = self.network.heads(features)
         return Reading(logits.float(), grades.clamp(0.0, GRADE_SCALE), features.float())
+
+
+def grader_of(stated: Settings) -> tuple[type[Grader], Settings]:
+    """Return the class that the key `architecture` of settings names, and the other settings.
+
+    Raises:
+        RacinesError: an unknown architecture, or a judge that is not trained as a grader is.
+    """
+    named = stated.get("architecture", Grader.architecture)
+    kind = JUDGES.load(named)
+    if not issubclass(kind.Config, GraderConfig):
+        raise RacinesError(
+            f"grader.architecture {named!r}: is not trained from the truth, in two stages; leave "
+            f"it out for {Grader.architecture}"
+        )
+    return kind, stated.of(*(key for key in stated if key != "architecture"))
 
 
 def read_config(folder: Path) -> dict[str, Any]:

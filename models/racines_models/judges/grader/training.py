@@ -36,8 +36,12 @@ WARM_UP = 0.1
 """Share of a stage in which the learning rate rises."""
 
 
-def train_grader(store: FrameStore, config: GraderConfig, run: Run) -> dict[str, Any]:
+def train_grader(
+    store: FrameStore, config: GraderConfig, run: Run, kind: type[Grader] = Grader
+) -> dict[str, Any]:
     """Train, save into `run.folder`, and return the metrics on the test trajectories.
+
+    `kind` is the grader's class, whose `Config` the config is.
 
     Raises:
         RacinesError: the data have no views, or `run.resume` is True and nothing can be resumed.
@@ -51,14 +55,14 @@ def train_grader(store: FrameStore, config: GraderConfig, run: Run) -> dict[str,
             "train on a labelled source, such as: racines data build --source phantom"
         )
     run = replace(run, device=resolve_device(run.device))
-    return GraderLearner(store, config, run).teach(run)
+    return GraderLearner(store, config, run, kind).teach(run)
 
 
 class JudgeLearner(Course):
     """What the trainer needs of a network that views and grades: the grader's, or its student's."""
 
     name: ClassVar[str]
-    judge: ClassVar[type[Grader]]
+    judge: type[Grader]
     batch_size: int
     steps: int
 
@@ -114,10 +118,13 @@ class GraderLearner(JudgeLearner):
     """The grader's two stages, an optimizer each, one after the other."""
 
     name = "grader"
-    judge = Grader
 
-    def __init__(self, store: FrameStore, config: GraderConfig, run: Run) -> None:
+    def __init__(
+        self, store: FrameStore, config: GraderConfig, run: Run, kind: type[Grader] = Grader
+    ) -> None:
+        self.judge = kind
         super().__init__(store, config, run, store.labels)
+        kind.begin(self.network, config)
         self.batch_size = config.batch_size
         self.steps_per_epoch = max(len(store.split_indices("train")) // config.batch_size, 1)
         self.stages = {"views": config.view_stage, "grades": config.grade_stage}
