@@ -31,6 +31,7 @@ def call(tmp_path: Path, *words: str, **told: str) -> subprocess.CompletedProces
     )
 
 
+@pytest.mark.thorough
 def test_it_is_the_command_and_ends_with_who_started_it(server, tmp_path: Path):
     done = call(tmp_path, "--version")
     assert (done.returncode, done.stderr) == (0, "") and done.stdout.startswith("racines ")

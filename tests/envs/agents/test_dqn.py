@@ -39,6 +39,7 @@ def test_it_trains_saves_and_loads(phantom, tmp_path, observation):
     assert not (tmp_path / "checkpoint").exists()
 
 
+@pytest.mark.thorough
 def test_it_learns_an_easy_view(tmp_path):
     """Some ten thousand steps are enough to beat chance where the view is wide."""
     phantom = FakePhantom(reach=2.0)

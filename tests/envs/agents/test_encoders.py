@@ -117,6 +117,7 @@ class Pictured(FakePhantom):
         return pictures(pose_to_parameters(pose))
 
 
+@pytest.mark.thorough
 def test_an_encoder_learns_where_the_probe_is(tmp_path):
     """It reads positions better than the middle of all would be."""
     training = PoseTraining(images=1600, batch_size=32, precision="fp32", ema=0.0, warmup_images=64)

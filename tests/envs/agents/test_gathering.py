@@ -18,6 +18,7 @@ from racines_envs.agents.ppo import PPOAgent, PPOConfig, PPOTraining
 from racines_envs.agents.sac import SACAgent, SACConfig
 from racines_leaderboard.cli.command import app
 from tests.envs.fakes import FakePhantom
+from tests.variants import first_of
 
 SMALL: dict[str, Any] = {
     "frames": 512,
@@ -65,7 +66,9 @@ def test_what_a_process_holds_changes_nothing(tmp_path: Path):
     assert ends[0] == ends[1] == ends[2]
 
 
-@pytest.mark.parametrize(("agent", "settings"), [(DQNAgent, DQNConfig), (SACAgent, SACConfig)])
+@pytest.mark.parametrize(
+    ("agent", "settings"), first_of([(DQNAgent, DQNConfig), (SACAgent, SACConfig)])
+)
 def test_what_keeps_experience_gathers_it_so_too(agent: Any, settings: Any, tmp_path: Path):
     for place in ("one", "other"):
         config = settings(

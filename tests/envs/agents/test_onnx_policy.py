@@ -20,7 +20,6 @@ from racines_envs.evaluation.run import EvaluationConfig, evaluate
 from racines_envs.task.core import OBSERVATIONS
 from racines_envs.task.starts import evaluation_seeds
 from racines_envs.worlds.making import make_core
-from tests.variants import first_of
 
 
 def policy(observation, encoder=None, cls=PPOAgent, config=None):
@@ -67,7 +66,8 @@ def test_acts_exactly_as_the_class(observation, phantom, tmp_path):
     assert torch.equal(opened.logits(alone), opened.logits(seen)[4:5])
 
 
-@pytest.mark.parametrize("observation", first_of(["multimodal", "image"]))
+@pytest.mark.thorough
+@pytest.mark.parametrize("observation", ["multimodal", "image"])
 def test_a_frozen_encoder_is_part_of_the_file(observation, phantom, tmp_path):
     agent = policy(observation, pose_encoder())
     export_policy(agent, tmp_path / "policy.onnx")

@@ -41,7 +41,7 @@ RESULT = ROOT / "docs/results/agent-outcomes.json"
 THRESHOLDS, LEARNING = (ROOT / f"docs/images/agent-{name}.png" for name in
                         ("thresholds", "learning"))  # fmt: skip
 WEIGHTS = ROOT / "envs/weights"
-BEST = {"patients": "servo-full", "beating": "servo-full"}
+BEST = {"patients": "servo-memory-full", "beating": "servo-memory-full"}
 """By tier, of those with a row in every view, the one first on most tasks: most is told of it."""
 DRAWN = ("constant-pose", "ppo-belief", "servo", "servo-memory", "servo-full", "servo-memory-full",
          "planner")  # fmt: skip

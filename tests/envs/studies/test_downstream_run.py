@@ -37,6 +37,7 @@ def made_up(point, config, folder):
     return worth, {name: [each["value"]] for name, each in worth.items()}
 
 
+@pytest.mark.thorough
 def test_a_study_goes_on_and_takes_new_points(tmp_path, monkeypatch):
     monkeypatch.setattr(module, "score_images", made_up)
     monkeypatch.setattr(module, "true_extractor", lambda asked, folder: None)

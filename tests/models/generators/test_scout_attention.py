@@ -103,6 +103,7 @@ def test_nothing_is_drawn_before_the_patient_is_met(store, tmp_path):
         generator.generate(store.parameters[:2], 0)
 
 
+@pytest.mark.thorough
 def test_it_learns_to_draw(store, tmp_path):
     """What it draws of a patient that it learns from comes nearer to the truth."""
     images, parameters = scout_of(store, 0)

@@ -69,6 +69,7 @@ class TestScoutFlow(GeneratorContract):
         assert float(apart) > 2.0 * float(halves) > 0.0
 
 
+@pytest.mark.thorough
 def test_it_learns_the_texture(store, tmp_path, painter):
     """It foresees better what its patients show beside the expected images, at all times."""
 

@@ -97,6 +97,7 @@ def test_a_killed_training_goes_on_to_the_same_bits(frames, tmp_path, monkeypatc
     assert one == other and not list((tmp_path / "killed").glob("*checkpoint*"))
 
 
+@pytest.mark.thorough
 def test_patches_outline_what_no_grid_of_them_could(frames, tmp_path):
     """A network of 4 x 4 patches tells pixels of one patch apart."""
     learnt = replace(config(320, learning_rate=1e-2, patch=4), input_size=128)
