@@ -49,7 +49,7 @@ def test_pictures_are_drawn_of_all_trainings(tmp_path):
 
 
 def test_scores_of_other_patients_or_weights_are_refused(tmp_path, found):
-    row = outcomes.BOARDS / "patients/patient-agents/servo-full-a4c.json"
+    row = outcomes.BOARDS / "patients/patient-agents/servo-memory-full-a4c.json"
     scores, path = json.loads(row.read_text(encoding="utf-8"))["scores"], tmp_path / "train.json"
     path.write_text(json.dumps(scores))
     with pytest.raises(ValueError, match="not of A4C of train patients"):
