@@ -26,7 +26,7 @@ GROUPS = {
     "models/weights/pose": "the pose of one heart's pictures: the judge of its boards",
     "models/weights/encoder": "what one heart's policies see pictures through, a file for all",
     "models/weights/patients/*": "generators that adapt to a patient, three trainings each",
-    "models/weights/phantom-patients/*": "judges of patients: grader, pose, segmentation",
+    "models/weights/phantom-patients/*": "judges of patients: two graders, pose, segmentation",
     "models/weights/scene-field": "generator, reference profile",
     "models/weights/flow": "generator, reference profile",
     "models/weights/vae-gan": "generator, reference profile, three trainings",

@@ -3,6 +3,7 @@
 racines eval grader JUDGES/grader --config patients --json > STILL.json
 racines study sim-to-real --real FOLDER --grader JUDGES/grader --segmentation JUDGES/segmentation
 python -m tests.models.studies.judged STILL.json SIM_TO_REAL.json
+python -m tests.models.studies.judged STILL.json SIM_TO_REAL.json servo      # of JUDGES/grader-servo
 """
 
 import json
@@ -78,13 +79,16 @@ def outlined(report: dict[str, Any]) -> dict[str, Any]:
     return {"columns": ["against cardiologists", *LISTS, "n"], "rows": rows}
 
 
-def fill(still: dict[str, Any], report: dict[str, Any]) -> None:
-    """Write the figures and tables."""
+def fill(still: dict[str, Any], report: dict[str, Any], judge: str = "grader") -> None:
+    """Write the figures and tables of the grader, or of the one that begins as a servo."""
     path = RESULTS / "sim-to-real.json"
     content = json.loads(path.read_text())
-    content["tables"] |= {"patients": accepted(report), "pictures": pictures(report)}
-    if "overlap" in report:
-        content["tables"]["outlines"] = outlined(report)
+    if judge == "grader":
+        content["tables"] |= {"patients": accepted(report), "pictures": pictures(report)}
+        if "overlap" in report:
+            content["tables"]["outlines"] = outlined(report)
+    else:
+        content["tables"][judge] = accepted(report)
     write_json(path, content)
     path = RESULTS / "patients-judges.json"
     content = json.loads(path.read_text())
@@ -94,8 +98,10 @@ def fill(still: dict[str, Any], report: dict[str, Any]) -> None:
         "random": share(still["views"]["Random"]),
         "grade_mae": number(metrics["grade_mae"]),
     }
-    write_json(path, content | {"figures": {"grader": {"still": figures}}})
+    content["figures"][judge] = {"still": figures}
+    write_json(path, content)
 
 
 if __name__ == "__main__":
-    fill(*(json.loads(Path(name).read_text(encoding="utf-8")) for name in sys.argv[1:3]))
+    reports = [json.loads(Path(name).read_text(encoding="utf-8")) for name in sys.argv[1:3]]
+    fill(*reports, *sys.argv[3:])
