@@ -94,6 +94,25 @@ def check_replaces(path: Path, scores: dict[str, Any], force: bool) -> None:
         )
 
 
+def check_name(path: Path, kind: str, name: str, force: bool) -> None:
+    """Refuse before any work what `check_replaces` would refuse after it, as far as a name tells.
+
+    `kind` is the key of the name: `agent`, `generator` or `motion`.
+
+    Raises:
+        RacinesError: the file holds a result of another name.
+    """
+    try:
+        before = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return  # nothing there; or what is there is told of once there is something to write
+    if not force and isinstance(before, dict) and before.get(kind, name) != name:
+        raise RacinesError(
+            f"{path}: holds another result, of {_of_what(before)}; this one would be of {name}: "
+            "--force to replace it, or write elsewhere"
+        )
+
+
 def _of_what(scores: dict[str, Any]) -> str:
     """Return in a few words what scores were made of."""
     task, data = scores.get("task") or {}, scores.get("dataset") or {}

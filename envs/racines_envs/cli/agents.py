@@ -105,6 +105,7 @@ def evaluate_agent(
     from racines_envs.evaluation.trainings import published_run
     from racines_envs.robots.arm import FREE
     from racines_models.cli.output import show_metrics
+    from racines_models.provenance import check_name
 
     values = read_settings(params, profile)
     entry = find_entry(values, agent, name)
@@ -118,6 +119,7 @@ def evaluate_agent(
     own = name or (out and not out.is_dir())
     label = entry.name if own else result_name(entry.name, config, usual)
     out = _result_file(out, entry.scores.with_name(f"{label}.json"))
+    check_name(out, "agent", label, force)
     phantom, board = phantom_config(values), values.get("board")
     published = None if run else published_run(board, entry.name)
     own_board = board if config.robot == FREE else None  # boards are of free probes
@@ -186,6 +188,7 @@ def _on_patients(
     from racines_envs.evaluation.run import write_evaluation
     from racines_envs.robots.arm import FREE
     from racines_models.cli.output import show_metrics
+    from racines_models.provenance import check_name
 
     values = read_settings(params, profile)
     entry, stated = find_entry(values, agent, name), section(values, "evaluation_patients")
@@ -204,6 +207,7 @@ def _on_patients(
             label = row_name(entry.name, config.view)
     label = name or label
     out = _result_file(out, entry.scores.with_name(f"{label}.json"))
+    check_name(out, "agent", label, force)
     folder = run or entry.trained
     with opened as pool:
         made = {"run": label, "board": board, "engine": pool}

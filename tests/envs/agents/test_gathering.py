@@ -18,7 +18,6 @@ from racines_envs.agents.ppo import PPOAgent, PPOConfig, PPOTraining
 from racines_envs.agents.sac import SACAgent, SACConfig
 from racines_leaderboard.cli.command import app
 from tests.envs.fakes import FakePhantom
-from tests.variants import first_of
 
 SMALL: dict[str, Any] = {
     "frames": 512,
@@ -67,7 +66,8 @@ def test_what_a_process_holds_changes_nothing(tmp_path: Path):
 
 
 @pytest.mark.parametrize(
-    ("agent", "settings"), first_of([(DQNAgent, DQNConfig), (SACAgent, SACConfig)])
+    ("agent", "settings"),
+    [(DQNAgent, DQNConfig), pytest.param(SACAgent, SACConfig, marks=pytest.mark.thorough)],
 )
 def test_what_keeps_experience_gathers_it_so_too(agent: Any, settings: Any, tmp_path: Path):
     for place in ("one", "other"):

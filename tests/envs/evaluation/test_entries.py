@@ -151,6 +151,9 @@ def test_no_result_is_overwritten_in_silence(real_phantom, tmp_path, monkeypatch
     )
     sound_policy(tmp_path / "X.onnx", temperature="1.0")
     assert "--force to replace it" in run("X.onnx")
+    with monkeypatch.context() as patched:  # refused before any work
+        patched.setattr("racines_envs.evaluation.run.evaluate", None)
+        assert "result, of y SC phantom" in run("X.onnx", "--out", str(folder / "y.json"))
     assert (folder / "y.json").read_bytes() == kept["y.json"]
     assert "written" in run("X.onnx", "--force")
     (folder / "y.json").write_text("no scores")

@@ -3,7 +3,7 @@
 racines eval grader JUDGES/grader --config patients --json > STILL.json
 racines study sim-to-real --real FOLDER --grader JUDGES/grader --segmentation JUDGES/segmentation
 python -m tests.models.studies.judged STILL.json SIM_TO_REAL.json
-python -m tests.models.studies.judged STILL.json SIM_TO_REAL.json servo      # of JUDGES/grader-servo
+python -m tests.models.studies.judged STILL.json SIM_TO_REAL.json servo    # of grader-servo
 """
 
 import json
