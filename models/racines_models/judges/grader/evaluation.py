@@ -142,7 +142,8 @@ def grades_figure(examined: Examination) -> Figure:
         axes.hist2d(*pair, 40, (GRADES, GRADES), cmap=SHARES, norm=LogNorm(vmin=0.3), cmin=1)
         axes.plot(GRADES, GRADES, color=MUTED, linewidth=0.8, linestyle=":")
         mae, bias = (content["grades"][name][key]["value"] for key in ("mae", "bias"))
-        axes.set_title(f"{name}, n = {len(pair[0]):,}: MAE {mae:.2f}, bias {bias:+.2f}", size=8.5)
+        told = f"{name}, n = {len(pair[0]):,}\nMAE {mae:.2f}, bias {bias:+.2f}"
+        axes.set_title(told, size=8.5)
         axes.set_aspect("equal")
     for axes in panels[max(len(names) - columns, 0) : len(names)]:
         axes.tick_params(labelbottom=True)  # the lowest of each column
