@@ -151,6 +151,7 @@ def _on_recordings(
     from racines_envs.evaluation.run import EvaluationConfig, evaluate, write_evaluation
     from racines_envs.robots.arm import FREE
     from racines_models.cli.output import show_metrics
+    from racines_models.provenance import check_name
 
     values = read_settings(params, profile)
     entry = find_entry(values, agent, name)
@@ -165,6 +166,7 @@ def _on_recordings(
     carried = f"-{config.robot}" if config.robot != FREE else ""
     label = entry.name if name else plain_name(f"{entry.name}-{world.settings.split}{carried}")
     out = _result_file(out, entry.scores.with_name(f"{label}.json"))
+    check_name(out, "agent", label, force)
     with opened as pool:
         result = evaluate(entry.agent, run or entry.trained, config, world, run=label, engine=pool)
     write_evaluation(result, out, picture or out.with_suffix(".png"), force)

@@ -1,6 +1,7 @@
 """A grader that begins as a servo: its encoder, what it learns, what is refused."""
 
 import dataclasses
+import json
 from types import SimpleNamespace
 
 import pytest
@@ -9,9 +10,10 @@ from typer.testing import CliRunner
 
 from racines_data.config import Settings, fill
 from racines_data.errors import RacinesError
+from racines_data.files import sha256_file
 from racines_leaderboard.cli.command import app
 from racines_models.judges.grader.model import Grader, StageConfig, grader_of
-from racines_models.judges.grader.servo import ServoGrader, ServoGraderConfig
+from racines_models.judges.grader.servo import POLICY, ServoGrader, ServoGraderConfig
 from racines_models.judges.grader.training import train_grader
 from racines_models.networks.servo import ServoNetwork
 from racines_models.protocol import Run
@@ -80,9 +82,11 @@ def test_it_learns_views_and_grades_of_held_out_sweeps(taught):
     assert metrics["grade_mae"]["value"] < 1.8  # a constant guess is off by 2.25
 
 
-def test_its_folder_is_opened_as_any_graders(taught, labelled, tmp_path):
+def test_its_folder_is_opened_as_any_graders(taught, servo, labelled, tmp_path):
     images = labelled.images[labelled.split_indices("test")]
     grader = Grader.load(taught[0])
+    told = json.loads((taught[0] / "config.json").read_text())["began_as"]
+    assert told == {"servo": str(servo.folder), "sha256": sha256_file(servo.folder / POLICY)}
     assert type(grader) is ServoGrader and grader.settings["id"] == "racines-grader-servo"
     publish(taught[0], tmp_path / "small", "int8")
     small = Grader.load(tmp_path / "small")

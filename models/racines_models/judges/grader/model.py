@@ -133,8 +133,9 @@ class Grader(Judge):
         return GraderNetwork(config.input_size, config.width, labels)
 
     @classmethod
-    def begin(cls, network: GradingNetwork, config: Any) -> None:
-        """Give an untrained network what its training begins from: here nothing."""
+    def begin(cls, network: GradingNetwork, config: Any) -> dict[str, Any]:
+        """Give an untrained network what its training begins from, and say what that is."""
+        return {}
 
     @torch.inference_mode()
     def probabilities_and_grade(self, images: Tensor) -> tuple[Tensor, Tensor]:

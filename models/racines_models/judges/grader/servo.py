@@ -13,6 +13,7 @@ import torch
 from torch import Tensor, nn
 
 from racines_data.errors import RacinesError
+from racines_data.files import sha256_file
 from racines_models.judges.grader.model import Grader, GraderConfig
 from racines_models.networks.grading import GradingNetwork
 from racines_models.networks.servo import SAID, ServoNetwork
@@ -84,8 +85,8 @@ class ServoGrader(Grader):
         return ServoGraderNetwork(config, labels)
 
     @classmethod
-    def begin(cls, network: GradingNetwork, config: Any) -> None:
-        """Give the encoder the servo's weights.
+    def begin(cls, network: GradingNetwork, config: Any) -> dict[str, Any]:
+        """Give the encoder the servo's weights; return, as `began_as`, folder and sha256 of them.
 
         Raises:
             RacinesError: no such servo, or one of other widths or blocks.
@@ -102,3 +103,4 @@ class ServoGrader(Grader):
                 f"{list(config.blocks)}: give those of its config.json"
             ) from error
         network.encoder.load_state_dict(_Sight(servo).state_dict())
+        return {"began_as": {"servo": config.servo, "sha256": sha256_file(path)}}

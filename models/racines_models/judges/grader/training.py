@@ -55,7 +55,8 @@ def train_grader(
             "train on a labelled source, such as: racines data build --source phantom"
         )
     run = replace(run, device=resolve_device(run.device))
-    return GraderLearner(store, config, run, kind).teach(run)
+    learner = GraderLearner(store, config, run, kind)
+    return learner.teach(run, **learner.begun)
 
 
 class JudgeLearner(Course):
@@ -124,7 +125,8 @@ class GraderLearner(JudgeLearner):
     ) -> None:
         self.judge = kind
         super().__init__(store, config, run, store.labels)
-        kind.begin(self.network, config)
+        self.begun = kind.begin(self.network, config)
+        self.identity |= self.begun
         self.batch_size = config.batch_size
         self.steps_per_epoch = max(len(store.split_indices("train")) // config.batch_size, 1)
         self.stages = {"views": config.view_stage, "grades": config.grade_stage}
