@@ -60,14 +60,17 @@ def taught(parts: Sequence[str], store: FrameStore, folder: Path, seed: int) -> 
 
 def asked(grader: Grader, store: FrameStore, echo: Any) -> dict[str, float]:
     """Return what it says of simulated validation patients and of real frames, in per cent."""
-    simulated = examine(grader, store, "validation").content["metrics"]
+    report = examine(grader, store, "validation").content
+    simulated = report["metrics"]
     real = measure(echo, grader).content
     told = {
         "balanced accuracy": 100 * simulated["balanced_accuracy"]["value"],
         "grade MAE": simulated["grade_mae"]["value"],
+        "ECE": 100 * report["calibration"]["after"]["value"],
     }
     for name, control in SHARES.items():
         told[name] = 100 * real["acceptance"]["tuning"][control]["called_a4c"]["value"]
+    told["A4C, p ≥ 0.9"] = 100 * real["acceptance"]["tuning"]["as they are"]["surely_a4c"]["value"]
     sectors = real["rotation"]["sectors"]
     return told | {"turned 45°–135°": 100 * sectors["between"]["called_a4c"]}
 

@@ -4,6 +4,7 @@ racines eval grader JUDGES/grader --config patients --json > STILL.json
 racines study sim-to-real --real FOLDER --grader JUDGES/grader --segmentation JUDGES/segmentation
 python -m tests.models.studies.judged STILL.json SIM_TO_REAL.json
 python -m tests.models.studies.judged STILL.json SIM_TO_REAL.json servo    # of grader-servo
+python -m tests.models.studies.judged - SIM_TO_REAL.json acceptance    # of models/weights/grader
 """
 
 import json
@@ -42,13 +43,16 @@ def accepted(report: dict[str, Any]) -> dict[str, Any]:
     for control in CONTROLS:
         own = [report["acceptance"][name][control]["called_a4c"] for name in LISTS]
         counts = ", ".join(str(each["n"]) for each in own)
-        rows.append([f"A4C, {control}", *map(share, own), counts])
+        sure = report["acceptance"][LISTS[1]][control]["surely_a4c"]
+        rows.append([f"A4C, {control}", *map(share, own), share(sure), counts])
     others = report["other_views"]["others_called_a4c"]
-    rows.append(["other views", "–", share(others), str(others["n"])])
+    rows.append(["other views", "–", share(others), "–", str(others["n"])])
     for name, title in SECTORS.items():
         own = report["rotation"]["sectors"][name]
-        rows.append([title, "–", f"{100 * own['called_a4c']:.1f} %", str(own["frames"])])
-    return {"columns": ["frames, called A4C", *LISTS, "n"], "rows": rows}
+        shares = [f"{100 * own[key]:.1f} %" for key in ("called_a4c", "surely_a4c")]
+        rows.append([title, "–", *shares, str(own["frames"])])
+    columns = ["frames, called A4C", *LISTS, "reporting, with p ≥ 0.9", "n"]
+    return {"columns": columns, "rows": rows}
 
 
 def pictures(report: dict[str, Any]) -> dict[str, Any]:
@@ -79,8 +83,11 @@ def outlined(report: dict[str, Any]) -> dict[str, Any]:
     return {"columns": ["against cardiologists", *LISTS, "n"], "rows": rows}
 
 
-def fill(still: dict[str, Any], report: dict[str, Any], judge: str = "grader") -> None:
-    """Write the figures and tables of the grader, or of the one that begins as a servo."""
+def fill(still: dict[str, Any] | None, report: dict[str, Any], judge: str = "grader") -> None:
+    """Write the figures and tables of the grader, or of the one that begins as a servo.
+
+    Without what is said of still patients, the table of real frames alone.
+    """
     path = RESULTS / "sim-to-real.json"
     content = json.loads(path.read_text())
     if judge == "grader":
@@ -90,6 +97,8 @@ def fill(still: dict[str, Any], report: dict[str, Any], judge: str = "grader") -
     else:
         content["tables"][judge] = accepted(report)
     write_json(path, content)
+    if still is None:
+        return
     path = RESULTS / "patients-judges.json"
     content = json.loads(path.read_text())
     metrics = still["metrics"]
@@ -103,5 +112,6 @@ def fill(still: dict[str, Any], report: dict[str, Any], judge: str = "grader") -
 
 
 if __name__ == "__main__":
-    reports = [json.loads(Path(name).read_text(encoding="utf-8")) for name in sys.argv[1:3]]
-    fill(*reports, *sys.argv[3:])
+    still, report = (Path(name) for name in sys.argv[1:3])
+    told = None if str(still) == "-" else json.loads(still.read_text(encoding="utf-8"))
+    fill(told, json.loads(report.read_text(encoding="utf-8")), *sys.argv[3:])

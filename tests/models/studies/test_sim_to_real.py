@@ -24,6 +24,7 @@ from racines_models.judges.segmentation.model import (
 from racines_models.networks.grading import GraderNetwork
 from racines_models.protocol import Judge
 from racines_models.studies.realism.patients import patient_lists
+from racines_models.studies.sim_to_real.acceptance import Called, accepted, accepted_turns
 from racines_models.studies.sim_to_real.charts import (
     Turned,
     ejection_figure,
@@ -32,7 +33,12 @@ from racines_models.studies.sim_to_real.charts import (
 )
 from racines_models.studies.sim_to_real.controls import CONTROLS, scrambled
 from racines_models.studies.sim_to_real.figures import draw
-from racines_models.studies.sim_to_real.frames import read_frames, read_masks, read_real_echo
+from racines_models.studies.sim_to_real.frames import (
+    Rotation,
+    read_frames,
+    read_masks,
+    read_real_echo,
+)
 from racines_models.studies.sim_to_real.report import images_asked, measure
 from racines_models.studies.sim_to_real.sectors import (
     crop_screen,
@@ -159,6 +165,8 @@ def test_the_report_holds_lists_apart_and_the_controls_beside(echo):
         shares = {name: told["called_a4c"]["value"] for name, told in controls.items()}
         assert shares["as they are"] + shares["upside down"] == 1.0
         assert shares["mirrored"] == shares["as they are"]
+        sure = [told["surely_a4c"]["value"] for told in controls.values()]
+        assert all(a <= b for a, b in zip(sure, shares.values(), strict=True))
         assert controls["as they are"]["called_a4c"]["settings"]["units"] == 5
     assert content["other_views"]["others_called_a4c"]["n"] == 2
     assert content["rotation"]["turns"] == 3 and content["rotation"]["patients"] == 1
@@ -172,6 +180,18 @@ def test_the_report_holds_lists_apart_and_the_controls_beside(echo):
     drawn = draw(real, measured, outliner)
     assert set(drawn) == {"", "-acceptance", "-turns", "-ejection"}
     assert all(each[:4] == b"\x89PNG" for each in drawn.values())
+
+
+def test_what_is_called_a4c_with_probability_09_is_counted_apart():
+    called = Called(np.array([0, 0, 0, 1]), np.array([0.95, 0.9, 0.5, 0.2], np.float32))
+    told = accepted({"as they are": called}, np.array(list("aabb")), np.arange(4), Bright.labels)
+    shares = [told["as they are"][name]["value"] for name in ("called_a4c", "surely_a4c")]
+    assert shares == [0.75, 0.5]
+    angles = np.array([0.0, 0.0, 90.0, 90.0])
+    images = torch.zeros(4, 128, 128, dtype=torch.uint8)
+    turned = accepted_turns(called, Rotation(images, angles, np.array([0, 0, 1, 1])), Bright.labels)
+    between = turned["sectors"]["between"]
+    assert (between["called_a4c"], between["surely_a4c"]) == (0.5, 0.0)
 
 
 def test_either_judge_does_alone_and_none_is_refused(echo):
@@ -241,6 +261,7 @@ def test_the_command_writes_the_charts_beside_the_report(echo, tmp_path, monkeyp
     Grader(GraderNetwork(32, 0.125), config).save(Path("grader"))
     words = ["study", "sim-to-real", "--real", str(echo), "--grader", "grader", "--out", "it"]
     shown = CliRunner().invoke(app, words).stdout
+    assert "p ≥ 0.9" in shown
     for name in ("it-acceptance.png", "it-turns.png"):
         assert name in shown and Image.open(name).width > 600
 

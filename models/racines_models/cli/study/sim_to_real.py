@@ -193,7 +193,7 @@ def _tables(content: dict[str, Any]) -> "list[Table]":
 
     tables = []
     if rows := _calls(content):
-        head = ("frames", "called A4C", "95 % interval", "n", "patients")
+        head = ("frames", "called A4C", "95 % interval", "p ≥ 0.9", "n", "patients")
         tables.append(console_table(head, rows, "called A4C"))
     if rows := _outlines(content):
         head = ("patients", "figure", "value", "95 % interval", "n")
@@ -222,14 +222,16 @@ def _calls(content: dict[str, Any]) -> list[tuple[str, ...]]:
         for control, told in controls.items():
             figure = told["called_a4c"]
             units = str(figure["settings"]["units"])
-            rows.append((f"{name}, {control}", *_rate(figure), str(figure["n"]), units))
+            sure = f"{told['surely_a4c']['value']:.1%}"
+            rows.append((f"{name}, {control}", *_rate(figure), sure, str(figure["n"]), units))
     if "other_views" in content:
         figure = content["other_views"]["others_called_a4c"]
-        rows.append(("other views", *_rate(figure), str(figure["n"]), "not told"))
+        rows.append(("other views", *_rate(figure), "-", str(figure["n"]), "not told"))
     for name, told in content.get("rotation", {}).get("sectors", {}).items():
         if told["frames"]:
             where = f"turned {told['from']:.0f}°-{told['to']:.0f}° ({name})"
-            rows.append((where, f"{told['called_a4c']:.1%}", "-", str(told["frames"]), "1"))
+            shares = (f"{told['called_a4c']:.1%}", "-", f"{told['surely_a4c']:.1%}")
+            rows.append((where, *shares, str(told["frames"]), "1"))
     return rows
 
 

@@ -17,6 +17,8 @@ BIN = 15.0
 """Width of the bins of a turn, degrees."""
 SECTORS = {"A4C": (0.0, 15.0), "between": (45.0, 135.0), "A4C mirrored": (165.0, 180.0)}
 """Turns either way from A4C that are summed up: between them lie A2C, A3C and no named view."""
+SURE = 0.9
+"""Probability of a view from which a frame counts as sure to show it, as in the tasks' success."""
 
 Advance = Callable[[int], None]
 
@@ -59,7 +61,7 @@ def call_controls(
 def accepted(
     called: Mapping[str, Called], patient: np.ndarray, rows: np.ndarray, labels: tuple[str, ...]
 ) -> dict[str, Any]:
-    """Return by control the share of some frames called A4C, and what the others are called.
+    """Return by control the share of some frames (surely) called A4C, and what others are called.
 
     Args:
         called: by control.
@@ -72,6 +74,7 @@ def accepted(
         label, who = each.label[rows], patient[rows]
         told[name] = {
             "called_a4c": rate_interval(label == labels.index(VIEW), who).to_json(),
+            "surely_a4c": rate_interval(each.probability[rows] >= np.float32(SURE), who).to_json(),
             "probability": mean_interval(each.probability[rows], who, 0.0, 1.0).to_json(),
             "called": _counted(label, labels),
         }
@@ -100,7 +103,7 @@ def accepted_pictures(
 
 def accepted_turns(called: Called, rotation: Rotation, labels: tuple[str, ...]) -> dict[str, Any]:
     """Return acceptance against the turn from A4C: one heart, so no interval is given."""
-    hits = called.label == labels.index(VIEW)
+    hits, sure = called.label == labels.index(VIEW), called.probability >= np.float32(SURE)
     away = np.abs(rotation.angle)
     angle = np.where(rotation.angle < 180.0, rotation.angle, -180.0)  # the same turn, in a bin
 
@@ -109,6 +112,7 @@ def accepted_turns(called: Called, rotation: Rotation, labels: tuple[str, ...]) 
         if inside.any():
             told["turns"] = len(np.unique(rotation.turn[inside]))
             told["called_a4c"] = float(hits[inside].mean())
+            told["surely_a4c"] = float(sure[inside].mean())
             told["probability"] = float(called.probability[inside].mean())
         return told
 
