@@ -17,13 +17,14 @@ from typing import Any
 import torch
 
 from racines_data.config import fill
+from racines_data.errors import RacinesError
 from racines_data.files import write_json
 from racines_data.store.frames import FrameStore, open_store
 from racines_models.judges.grader.model import WEIGHTS, Grader, GraderConfig
 from racines_models.judges.grader.report import examine
 from racines_models.judges.grader.training import train_grader
 from racines_models.protocol import Run
-from racines_models.studies.sim_to_real.frames import read_real_echo
+from racines_models.studies.sim_to_real.frames import RealEcho, read_real_echo
 from racines_models.studies.sim_to_real.report import measure
 from racines_models.training.augmentation import PARTS
 
@@ -58,7 +59,7 @@ def taught(parts: Sequence[str], store: FrameStore, folder: Path, seed: int) -> 
     return Grader.load(folder)
 
 
-def asked(grader: Grader, store: FrameStore, echo: Any) -> dict[str, float]:
+def asked(grader: Grader, store: FrameStore, echo: RealEcho) -> dict[str, float]:
     """Return what it says of simulated validation patients and of real frames, in per cent."""
     report = examine(grader, store, "validation").content
     simulated = report["metrics"]
@@ -76,7 +77,12 @@ def asked(grader: Grader, store: FrameStore, echo: Any) -> dict[str, float]:
 
 
 def answers(
-    place: Path, parts: Sequence[str], seed: int, shown: FrameStore, store: FrameStore, echo: Any
+    place: Path,
+    parts: Sequence[str],
+    seed: int,
+    shown: FrameStore,
+    store: FrameStore,
+    echo: RealEcho,
 ) -> dict[str, float]:
     """Return what a grader says that learned from the frames shown; from its folder if there."""
     if not (place / "asked.json").is_file():
@@ -99,9 +105,17 @@ def table(first: str, told: Mapping[str, Sequence[dict[str, float]]]) -> dict[st
     return {"columns": [first, *columns], "rows": rows}
 
 
+def real_echo(real: Path) -> RealEcho:
+    """Read REAL: frames of the tuning list, and a heart turned about its apex."""
+    echo = read_real_echo(real, None)
+    if echo.rotation is None:
+        raise RacinesError(f"{real}: no rotation: give the folder of frames and rotation")
+    return echo
+
+
 def run(data: Path, real: Path, folder: Path, seeds: int) -> None:
     """Train, ask, and write the table."""
-    store, echo = open_store(data, "beating"), read_real_echo(real, None)
+    store, echo = open_store(data, "beating"), real_echo(real)
     told: dict[str, list[dict[str, float]]] = {name: [] for name in VARIANTS}
     for seed in range(seeds):
         for name, parts in VARIANTS.items():

@@ -27,8 +27,7 @@ from racines_data.patients.population import draw_patient
 from racines_data.progress import progress_bar
 from racines_data.randomness import derive
 from racines_data.store.frames import FrameStore, open_store
-from racines_models.studies.sim_to_real.frames import read_real_echo
-from tests.models.studies.augmentation import RESULT, USED, answers, table
+from tests.models.studies.augmentation import RESULT, USED, answers, real_echo, table
 
 WORLDS = {"as it is": "", "without leaflets": "leaflets", "without chest wall": "chest"}
 """By what the table calls it: what the world lacks."""
@@ -82,7 +81,7 @@ def with_images(store: FrameStore, images: Tensor) -> FrameStore:
 
 def run(data: Path, real: Path, folder: Path, seeds: int) -> None:
     """Draw, train, ask, and write the table."""
-    store, echo = open_store(data, "beating"), read_real_echo(real, None)
+    store, echo = open_store(data, "beating"), real_echo(real)
     told = {}
     for name, lacks in WORLDS.items():
         places = [folder / f"{lacks or 'whole'}-{seed}" for seed in range(seeds)]
