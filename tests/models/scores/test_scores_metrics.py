@@ -212,3 +212,12 @@ def test_jackknife_covers_a_frechet_distance_without_inflating_it() -> None:
         assert estimate.low <= estimate.value <= estimate.high
         covered += estimate.low <= 1.0 <= estimate.high
     assert covered >= 33
+
+
+def test_a_row_of_ssim_ignores_its_batch() -> None:
+    """Of 19 images 8 are taken at a time on a CPU, and three are left over."""
+    generator = torch.Generator().manual_seed(0)
+    truth, drawn = torch.randint(0, 256, (2, 19, 128, 128), generator=generator).to(torch.uint8)
+    every = ssim(drawn, truth)
+    for rows in (slice(0, 1), slice(5, 14), slice(16, 19)):
+        assert torch.equal(ssim(drawn[rows], truth[rows]), every[rows])
