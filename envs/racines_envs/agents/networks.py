@@ -40,24 +40,28 @@ class ObservationNetwork(nn.Module):
 
     def __init__(
         self, observation: str, outputs: int, hidden: Sequence[int], gain: float,
-        features: int = 0, rotation: str = "continuous",
+        features: int = 0, rotation: str = "continuous", looks: int = 0,
     ) -> None:  # fmt: skip
         """Build for an observation; `gain` scales the head's first weights (small: near uniform).
 
         `hidden` are widths of the dense layers, `features` the numbers that an encoder makes of an
         image, read in its place (0: there is none). `rotation` is `continuous`, the parameters as
-        they are, or `euler`, position and angles; another is refused.
+        they are, or `euler`, position and angles; another is refused. Of several `looks` the
+        features are read one look after the other, the oldest first, by a `Recurrence`.
         """
         super().__init__()
         if rotation not in ROTATIONS:
             raise RacinesError(f"rotation is {rotation!r}: {' or '.join(ROTATIONS)}")
         self.rotation = rotation
+        self.looks = looks
         self.keys = ["features" if features and k == "image" else k for k in SEEN[observation]]
         self.image = _convolutions(hidden[0]) if "image" in self.keys else None
         self.params = self.scale = self.features = self.feature_scale = None
         if "features" in self.keys:
+            features //= looks or 1
             self.feature_scale = nn.BatchNorm1d(features, affine=False, momentum=None)
-            self.features = _dense([features, hidden[0]])
+            widths = features, hidden[0]
+            self.features = Recurrence(*widths) if looks else _dense(widths)
         if "params" in self.keys:
             self.scale = nn.BatchNorm1d(ROTATIONS[rotation], affine=False, momentum=None)
             self.params = _dense([ROTATIONS[rotation], hidden[0]])
@@ -74,7 +78,10 @@ class ObservationNetwork(nn.Module):
         values = dict(zip(self.keys, seen, strict=True))
         features = []
         if self.features is not None and self.feature_scale is not None:
-            features.append(self.features(_scaled(self.feature_scale, values["features"])))
+            told = values["features"]
+            if self.looks:
+                told = told.view(*told.shape[:-1], self.looks, -1)
+            features.append(self.features(_scaled(self.feature_scale, told)))
         if self.image is not None:
             image = values["image"]
             flat = image.reshape(-1, *image.shape[-3:]).float() / 127.5 - 1.0
@@ -90,6 +97,31 @@ class ObservationNetwork(nn.Module):
 
 def _scaled(scale: nn.Module, values: Tensor) -> Tensor:
     return scale(values.reshape(-1, values.shape[-1])).view(values.shape)
+
+
+class Recurrence(nn.Module):
+    """Gated recurrent unit (Cho et al., 2014), written so that a row ignores its batch.
+
+    `nn.GRU` multiplies whole batches, whose last rows round otherwise than the others.
+    """
+
+    def __init__(self, inputs: int, outputs: int) -> None:
+        super().__init__()
+        self.reads, self.keeps = nn.Linear(inputs, 3 * outputs), nn.Linear(outputs, 3 * outputs)
+
+    def forward(self, looks: Tensor) -> Tensor:
+        """Return the (…, outputs) state after (…, L, inputs) looks, from a state of zeros."""
+        read = self.reads(looks).unbind(-2)
+        state = read[0].new_zeros(*read[0].shape[:-1], read[0].shape[-1] // 3)
+        for look in read:
+            own, kept = look.chunk(3, -1), self.keeps(state).chunk(3, -1)
+            # A logistic function by tanh rounds alike at every place of a tensor.
+            reset, update = (
+                0.5 + 0.5 * ((a + b) / 2).tanh() for a, b in zip(own[:2], kept[:2], strict=True)
+            )
+            new = (own[2] + reset * kept[2]).tanh()
+            state = new + update * (state - new)
+        return state
 
 
 def _convolutions(features: int) -> nn.Sequential:

@@ -43,8 +43,9 @@ def make_network(
 ) -> ObservationNetwork:
     """Return an untrained network of the config's `observation`, `hidden` and `rotation`."""
     features: Any = encoder.size if encoder is not None else 0
-    rotation = getattr(config, "rotation", "continuous")
-    return ObservationNetwork(config.observation, outputs, config.hidden, gain, features, rotation)
+    rotation, looks = getattr(config, "rotation", "continuous"), getattr(encoder, "looks", 0)
+    shape: Any = (config.observation, outputs, config.hidden, gain, features, rotation, looks)
+    return ObservationNetwork(*shape)
 
 
 def make_actor(

@@ -13,16 +13,20 @@ from racines_envs.agents.belief.agent import _Training as Training
 from racines_envs.agents.belief.sight import SIZE, Sight
 from racines_envs.agents.belief.transform import TAUGHT, seen_through
 from racines_envs.agents.memory.eyes import eyes_of
+from racines_envs.agents.networks import Recurrence
 from racines_envs.agents.onnx.policy import export_policy
 from racines_envs.agents.planner import PlannerAgent
 from racines_envs.agents.policy import make_actor
+from racines_envs.agents.rollout import rollout
 from racines_envs.agents.training import seeded
 from racines_envs.apis.torchrl_env import ScanEnv
 from racines_envs.evaluation.agent_specs import check_view
 from racines_envs.evaluation.trainings import find_trainings
 from racines_envs.task.actions import IDLE
+from racines_envs.task.core import PARAMS_SIZE
 from racines_envs.task.tasks import PATIENT_TASKS
 from racines_envs.worlds.making import make_core
+from racines_models.networks.batching import in_fixed_batches
 from tests.envs.patients.test_memory import save
 
 GOAL = slice(SIZE - len(VIEWS), SIZE)
@@ -43,8 +47,8 @@ def core_of(ward, rows: int = 3, view: str = "AnyView-patients"):
     return make_core(view, rows, observation="multimodal", phantom=ward)
 
 
-def sight(servo: Path, memory: bool = True) -> Sight:
-    return Sight(eyes_of(str(servo), 0, "cpu"), memory)
+def sight(servo: Path, memory: bool = True, window: int = 1, recurrent: bool = False) -> Sight:
+    return Sight(eyes_of(str(servo), 0, "cpu"), memory, window, recurrent)
 
 
 def steps_of(core, seen, count: int) -> list[torch.Tensor]:
@@ -69,14 +73,54 @@ def test_what_is_told_adds_up_over_an_episode(still, servo):
     assert not alone[-1][:, BEST].any() and told[-1][:, BEST].abs().max() > 0.0
 
 
+def test_a_window_holds_the_last_looks_and_where_they_were(still, servo):
+    """Beside each other, the oldest first; an episode begins with its first look alone."""
+    window, size = 3, SIZE + PARAMS_SIZE
+    core = core_of(still)
+    single = sight(servo, memory=False).begin(core)
+    looks = []
+
+    def look(observation) -> None:
+        looks.append(torch.cat([single.see(observation), observation["params"]], 1))
+
+    look(core.reset(torch.arange(3) + 5))
+    for step in range(3):
+        look(core.step(torch.full((3,), step)).observation)
+    core = core_of(still)
+    seen = sight(servo, False, window).begin(core)
+    told = steps_of(core, seen, 3)
+    for step, each in enumerate(told):
+        before = [looks[max(0, step - k)] for k in reversed(range(window))]
+        assert torch.equal(each, torch.cat(before, 1)), step
+    mask = torch.tensor([False, True, False])
+    after = seen.see(core.reset(mask=mask), mask).view(3, window, size)
+    assert torch.equal(after[[0, 2]].flatten(1), told[-1][[0, 2]]), "who goes on waits"
+    assert torch.equal(after[1], after[1, :1].expand(window, -1)), "who begins forgets"
+
+
+def test_a_recurrence_is_a_gru_and_a_row_ignores_its_batch():
+    torch.manual_seed(0)
+    ours, peer = Recurrence(11, 8), torch.nn.GRU(11, 8, batch_first=True)
+    with torch.no_grad():
+        for mine, theirs in ((ours.reads, "ih"), (ours.keeps, "hh")):
+            getattr(peer, f"weight_{theirs}_l0").copy_(mine.weight)
+            getattr(peer, f"bias_{theirs}_l0").copy_(mine.bias)
+    looks = torch.randn(21, 6, 11)
+    said = in_fixed_batches(ours, looks)
+    assert torch.allclose(said, peer(looks)[1][0], atol=1e-6)
+    for row in (0, 7, 20):
+        assert torch.equal(in_fixed_batches(ours, looks[row : row + 1])[0], said[row])
+
+
 @pytest.mark.contract
-def test_a_row_is_told_of_itself_alone(still, servo):
+@pytest.mark.parametrize("window", [1, 3])
+def test_a_row_is_told_of_itself_alone(still, servo, window):
     """To the last bit: the same episode among others and alone."""
     core = core_of(still, 5)
-    whole = steps_of(core, sight(servo).begin(core), 3)
+    whole = steps_of(core, sight(servo, window=window).begin(core), 3)
     for row in (0, 4):
         one = core_of(still, 1)
-        seen = sight(servo).begin(one)
+        seen = sight(servo, window=window).begin(one)
         told = [seen.see(one.reset(torch.tensor([row + 5])))]
         told += [seen.see(one.step(torch.tensor([step])).observation) for step in range(3)]
         for ours, theirs in zip(whole, told, strict=True):
@@ -180,6 +224,26 @@ def test_what_is_learned_is_saved_and_acts_again(trained, still):
     assert torch.equal(*acted)
 
 
+@pytest.mark.parametrize("recurrent", [False, True])
+def test_a_policy_of_a_window_learns_is_saved_and_acts_again(
+    servo, still, tmp_path, hearts, monkeypatch, recurrent
+):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(hearts))
+    short = replace(PATIENT_TASKS["A4C-patients"], max_steps=10)
+    monkeypatch.setitem(PATIENT_TASKS, "A4C-patients", short)
+    config = tiny(servo, view="A4C-patients", memory=False, window=4, recurrent=recurrent)
+    agent = PPOBeliefAgent.train(config, tmp_path, seed=0, progress=False)
+    assert isinstance(agent.actor.features, Recurrence) is recurrent
+    again = PPOBeliefAgent.load(tmp_path)
+    core, acted = core_of(still, 5, "A4C-patients"), []
+    for each in (agent, again):
+        acted.append(torch.stack(rollout(core, each, torch.arange(5)).actions))
+    assert torch.equal(*acted)
+    one = core_of(still, 1, "A4C-patients")
+    alone = torch.stack(rollout(one, again, torch.tensor([4])).actions)[:, 0]
+    assert torch.equal(alone, acted[0][: len(alone), 4]), "to the last step as among others"
+
+
 def test_one_policy_is_for_all_views_of_patients(trained):
     agent, folder = trained
     for view in ("A4C-patients", "AnyView-patients", "PL-beating"):
@@ -215,6 +279,8 @@ def test_a_memory_is_no_onnx_file(trained, tmp_path):
         ({"encoder": "explored"}, "leave observation, encoder and backend out"),
         ({"collectors": 2}, "give 1"),
         ({"imitate": 10**6}, "give 0 to frames"),
+        ({"window": 0}, "give 1 or more looks"),
+        ({"recurrent": True}, "2 or more to be recurrent"),
         ({"first": 10**6}, "there are"),
     ],
 )

@@ -1,4 +1,4 @@
-"""What a policy on the servo's belief needs: memory, lessons, which reward; one left out at a time.
+"""What a policy on the servo's belief needs: which memory, lessons, which reward; one at a time.
 
     python -m tests.envs.studies.belief_ablation
 
@@ -29,17 +29,21 @@ KEPT = Path("envs/runs/belief-ablation")
 TRAININGS, FRAMES = 3, 102_400
 BASE = PPOBeliefConfig(
     view="A4C-patients", members=str(ROOT / "envs/weights/servo"), patients=32, frames=FRAMES,
-    imitate=FRAMES // 4, validate_every=FRAMES // 4, validation_starts=50,
+    imitate=FRAMES // 4, validate_every=FRAMES // 2, validation_starts=50,
 )  # fmt: skip
 WAYS: dict[str, Mapping[str, Any]] = {
     "all of it": {},
     "no memory: the last image alone": {"memory": False},
+    "a frame stack for a memory: the last 4 images": {"memory": False, "window": 4},
+    "a GRU for a memory, of the last 16 images": {
+        "memory": False, "window": 16, "recurrent": True,
+    },
     "no lessons: reward alone": {"imitate": 0},
-    "lessons alone": {"imitate": FRAMES},
     "the paper's reward, after the lessons": {
         "reward": "paper", "grader": str(ROOT / "models/weights/phantom-patients/grader"),
     },
     "the oracle's reward, after the lessons": {"reward": "oracle"},
+    "lessons alone": {"imitate": FRAMES},
 }  # fmt: skip
 JUDGED = PatientsConfig(view="A4C-patients", split="validation", patients=40, starts=3)
 STARTS = StartSet(tuple(seeds_of("validation")[100 : 100 + JUDGED.patients]), JUDGED.starts, 0)

@@ -18,7 +18,7 @@ from racines_data.patients.memory import MEMORY
 from racines_data.patients.splits import seeds_of
 from racines_data.world import World
 from racines_envs.agents.belief.sight import Episodes, Sight
-from racines_envs.agents.memory.eyes import eyes_like, eyes_of
+from racines_envs.agents.memory.eyes import Eyes, eyes_like, eyes_of
 from racines_envs.agents.policy import choose
 from racines_envs.agents.ppo import PPOAgent, PPOConfig, PPOTraining
 from racines_envs.agents.training import TrainingRun
@@ -46,6 +46,12 @@ class PPOBeliefConfig(PPOConfig):
     servo's of the same seed."""
     memory: bool = True
     """Add up the readings of an episode; False: it knows the last image alone."""
+    window: int = 1
+    """Looks that it is told of, the last and those before. Of more than one it is told where the
+    probe was, too."""
+    recurrent: bool = False
+    """Read them one after the other by a GRU, which learns what to remember of them; False: side by
+    side, as a frame stack."""
     imitate: int = 60_000
     """Of the frames so many, the first, teach it what the planner would do who knows the truth, on
     its own ways (DAgger); reward teaches it from there on. 0: reward alone."""
@@ -68,6 +74,11 @@ class PPOBeliefConfig(PPOConfig):
             raise RacinesError(
                 f"agents.ppo-belief.imitate: {self.imitate}: give 0 to frames, {self.frames}"
             )
+        if self.window < 1 or (self.recurrent and self.window == 1):
+            raise RacinesError(
+                f"agents.ppo-belief.window: {self.window}: give 1 or more looks, 2 or more to be "
+                "recurrent"
+            )
         if self.collectors != 1:
             raise RacinesError("agents.ppo-belief.collectors: beliefs stay in one process: give 1")
         known = len(seeds_of("train"))
@@ -84,7 +95,7 @@ class _Training(PPOTraining):
     def opened(self) -> Any:
         """Return what it sees through."""
         config: Any = self.config
-        return Sight(eyes_of(config.members, self.seed, config.device), config.memory)
+        return _sight(eyes_of(config.members, self.seed, config.device), config)
 
     def worlds(self, phantom: WorldLike) -> tuple[World, World]:
         """Return train patients whom the servo does not know, and validation patients."""
@@ -189,4 +200,8 @@ class PPOBeliefAgent(PPOAgent):
     @classmethod
     def opened(cls, config: Any, run_dir: Path, sha256: str, device: Any) -> Any:
         """Return the servo's network that a saved policy sees through, by its hash."""
-        return Sight(eyes_like(sha256, config.members, run_dir, str(device)), config.memory)
+        return _sight(eyes_like(sha256, config.members, run_dir, str(device)), config)
+
+
+def _sight(eyes: Eyes, config: PPOBeliefConfig) -> Sight:
+    return Sight(eyes, config.memory, config.window, config.recurrent)

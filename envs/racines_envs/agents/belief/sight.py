@@ -5,7 +5,8 @@
     goal, own steps and idling                                                      ──┘
 
 All places are ways from the probe, in its own axes and in unit steps. Without a memory the belief
-is the last reading, and no pose passed is known.
+is the last reading, and no pose passed is known. Of a window of several looks the numbers of each
+are told, the oldest first, with the probe's pose; an episode begins with all of them alike.
 """
 
 import torch
@@ -18,14 +19,14 @@ from racines_envs.agents.memory.eyes import Eyes
 from racines_envs.agents.servo.belief import Belief, reading
 from racines_envs.agents.servo.frames import shrink
 from racines_envs.agents.steering import Steering
-from racines_envs.task.core import ScanCore
+from racines_envs.task.core import PARAMS_SIZE, ScanCore
 from racines_models.networks.batching import Lasting
 
 WAY = 6
 NEAR, FAR = 2.0, 10.0
 """Unit steps that a way is measured by: to arrive, and to set out."""
 SIZE = 3 * WAY + 6 + 3 + 2 + len(VIEWS)
-"""Numbers that a policy is told."""
+"""Numbers that a policy is told of a look."""
 Best = tuple[Pose, Tensor]
 """(N,) poses passed, and how well they showed the view."""
 
@@ -33,11 +34,15 @@ Best = tuple[Pose, Tensor]
 class Sight:
     """A servo's network, and how its readings are told."""
 
-    size = SIZE
+    def __init__(self, eyes: Eyes, memory: bool, window: int = 1, recurrent: bool = False) -> None:
+        """Take the network of a training of a servo; without `memory` each image stands alone.
 
-    def __init__(self, eyes: Eyes, memory: bool) -> None:
-        """Take the network of a training of a servo; without `memory` each image stands alone."""
+        A policy is told of `window` looks at once; if `recurrent`, it reads one after the other.
+        """
         self.network, self.sha256, self.memory = eyes.network.eval(), eyes.sha256, memory
+        self.window = window
+        self.size = SIZE if window == 1 else window * (SIZE + PARAMS_SIZE)
+        self.looks = window if recurrent else 0
 
     def begin(self, core: ScanCore) -> "Episodes":
         """Return what is known of an environment's episodes: nothing yet."""
@@ -56,7 +61,7 @@ class Episodes:
 
     @torch.no_grad()
     def see(self, observation: dict[str, Tensor], rows: Tensor | None = None) -> Tensor:
-        """Return the (N, 34) numbers after all rows have been looked at.
+        """Return the (N, size) numbers after all rows have been looked at.
 
         Of (N,) bool `rows`, if given, the others were not looked at anew: they are told what they
         were. Rows at the first step of an episode forget the one before.
@@ -78,8 +83,8 @@ class Episodes:
         shown = said[:, 2 * WAY :] / said.new_tensor([1.0, 10.0])
         worth = shown.sum(1) - 1.0
         belief, best = read, (pose, worth)
+        anew = state.steps == 0
         if self._belief is not None and self._best is not None:
-            anew = state.steps == 0
             if self._sight.memory:
                 belief = self._belief.after(read).kept(~anew, read)
                 better = anew | (worth > self._best[1])
@@ -88,10 +93,20 @@ class Episodes:
                 belief = belief.kept(rows, self._belief)
                 best = _kept(rows, best, self._best)
         told = self._tell(pose, belief, best, shown, labels)
+        if self._sight.window > 1:
+            told = self._after(torch.cat([told, observation["params"].to(told)], 1), anew)
         if rows is not None and self._told is not None:
             told = torch.where(rows.unsqueeze(1), told, self._told)
         self._belief, self._best, self._told = belief, best, told
         return told
+
+    def _after(self, look: Tensor, anew: Tensor) -> Tensor:
+        """Return a look behind those before it; at the first of an episode all are that one."""
+        alike = look.repeat(1, self._sight.window)
+        if self._told is None:
+            return alike
+        later = torch.cat([self._told[:, look.shape[1] :], look], 1)
+        return torch.where(anew.unsqueeze(1), alike, later)
 
     def _tell(
         self, pose: Pose, belief: Belief, best: Best, shown: Tensor, labels: Tensor
