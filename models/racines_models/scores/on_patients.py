@@ -39,7 +39,7 @@ from racines_models.registry import (
     open_runs,
     run_folder,
 )
-from racines_models.sample import DRAW, FrameSource, Progress, Sample, check_drawn
+from racines_models.sample import DRAW, FrameSource, Sample, check_drawn
 from racines_models.scores.features import Extractor, Remembered
 from racines_models.scores.remembered import RememberedOutlines, RememberedPose
 from racines_models.scores.scorer import Scorer, ScoresConfig, plain
@@ -236,9 +236,9 @@ def score_on_patients(
     drawn = [images for images, _ in pairs]
     features = Remembered(judges.features)
     looked = Judges(RememberedPose(judges.pose), RememberedOutlines(judges.segmentation), features)
-    everything = torch.arange(len(asked))
-    scorer = _scorer(asked, everything, drawn, progress)
-    metrics = _figures(scorer, asked, everything, looked)
+    sample = asked_sample(asked)
+    scorer = Scorer(ScoresConfig(), asked, sample, drawn, None, progress, len(drawn))
+    metrics = _figures(scorer, asked, looked)
     metrics |= scorer.plugged(features, metrics)
     seconds = sum(each for _, each in pairs) / len(pairs)
     adapts = isinstance(generators[0], Adapting)
@@ -248,8 +248,7 @@ def score_on_patients(
     strata = {}
     for place, title in enumerate(strata_names()):
         rows = (asked.strata == place).nonzero().squeeze(1)
-        part = _scorer(asked, rows, [images[rows] for images in drawn])
-        found = _figures(part, asked, rows, looked)
+        found = _figures(scorer.part(rows), asked, looked)
         strata[title] = {key: found[key] for key in BY_STRATUM if key in found}
     card = dataset_card(asked) | {"split": config.split, "sample": scorer.sample.digest}
     content = {
@@ -272,19 +271,11 @@ def _trained(generator: Any) -> bool:
     return not isinstance(generator, SeenAgain) and declared(generator).trained is not False
 
 
-def _scorer(
-    asked: AskedStore, rows: Tensor, drawn: list[Tensor], progress: Progress | None = None
-) -> Scorer:
-    """Return a scorer of some rows, whose units are patients."""
-    sample = Sample(asked.take(rows), asked.units(rows))
-    return Scorer(ScoresConfig(), asked, sample, drawn, None, progress, len(drawn))
-
-
-def _figures(scorer: Scorer, asked: AskedStore, rows: Tensor, judges: Judges) -> dict[str, Any]:
+def _figures(scorer: Scorer, asked: AskedStore, judges: Judges) -> dict[str, Any]:
     """Return all figures of a scorer's images that judges give."""
     figures = scorer.likeness() | scorer.distances("", judges.features)
     assert asked.masks is not None and asked.mask_labels is not None
-    masks = asked.masks[rows]
+    masks = asked.masks[scorer.sample.frames.index]
     return (
         figures
         | scorer.poses(judges.pose)

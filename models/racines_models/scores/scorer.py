@@ -80,6 +80,8 @@ class Scorer:
     """Trainings."""
     evidence: Evidence = field(default_factory=Evidence)
     """The figures behind all that was told so far."""
+    measured: dict[str, list[Tensor]] = field(default_factory=dict)
+    """(N,) values of each set by name, as far as they have been measured."""
 
     def __post_init__(self) -> None:
         """Name the reference; figures of the truth itself say what a network's own errors allow."""
@@ -88,15 +90,32 @@ class Scorer:
         self._key = [self.store.manifest["digest"], self.sample.digest]
         self._sides = {"": self.drawn, "_truth": [self.sample.frames.images]}
 
+    def part(self, rows: Tensor) -> "Scorer":
+        """Return a scorer of some (n,) of its rows, who measures nothing of them again."""
+        own = self.sample.frames.index[rows]
+        return Scorer(
+            self.config, self.store, Sample(self.store.take(own), self.store.units(own)),
+            [images[rows] for images in self.drawn], runs=self.runs,
+            measured={name: [each[rows] for each in sets] for name, sets in self.measured.items()},
+        )  # fmt: skip
+
+    def measure(
+        self, name: str, metric: Callable[[Tensor, Tensor], Tensor], sets: Sequence[Tensor]
+    ) -> list[Tensor]:
+        """Return (N,) values of a metric of each image and the frame at its pose, for each set."""
+        if name not in self.measured:
+            self.measured[name] = [metric(images, self.sample.frames.images) for images in sets]
+        return self.measured[name]
+
     def likeness(self) -> dict[str, Any]:
         """Return SSIM, MS-SSIM and PSNR against the frame at the same pose."""
-        truth, figures = self.sample.frames.images, {}
+        figures = {}
         for name, metric, settings, ends, unit in (
             ("ssim", metrics.ssim, metrics.SSIM_SETTINGS, (-1.0, 1.0), None),
             ("ms_ssim", metrics.ms_ssim, metrics.MS_SSIM_SETTINGS, SHARE, None),
             ("psnr", metrics.psnr, metrics.PSNR_SETTINGS, (0.0, metrics.PSNR_CAP), "dB"),
         ):
-            values = [metric(images, truth) for images in self.drawn]
+            values = self.measure(name, metric, self.drawn)
             figures[name] = self.of_frames(name, "mean", values, ends, unit, **settings)
         return figures
 

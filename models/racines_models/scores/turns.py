@@ -12,7 +12,7 @@ where it looks from the other side: what a model that only looks up could hand b
 Strata are of the angle from a test turn to the nearest training turn.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import torch
@@ -20,7 +20,6 @@ from torch import Tensor
 
 from racines_data.geometry import parameters_to_pose
 from racines_data.store.frames import FrameStore
-from racines_models.sample import Sample
 from racines_models.scores import metrics
 from racines_models.scores.features import Extractor, reference_features
 from racines_models.scores.scorer import AMOUNT, ANY, Scorer
@@ -87,7 +86,7 @@ def turn_figures(
         extractor: of published features.
         judge: whose features give `feature_distance_grader`, the same distance again.
     """
-    rows, truth = scorer.sample.frames.index, scorer.sample.frames.images
+    rows = scorer.sample.frames.index
     true, drawn = scorer.features(extractor)
     figures = {"feature_distance": _distance(scorer, "feature_distance", true, drawn, extractor)}
     if judge is not None:
@@ -101,8 +100,8 @@ def turn_figures(
         key, rule = [scorer.store.manifest["digest"], name, rows.tolist()], _RULES[name]
         held = reference_features(extractor, images, key, scorer.cache)
         figures |= {
-            f"ssim_{name}": _likeness(scorer, f"ssim_{name}", metrics.ssim(images, truth), rule),
-            f"psnr_{name}": _likeness(scorer, f"psnr_{name}", metrics.psnr(images, truth), rule),
+            f"ssim_{name}": _likeness(scorer, f"ssim_{name}", metrics.ssim, images, rule),
+            f"psnr_{name}": _likeness(scorer, f"psnr_{name}", metrics.psnr, images, rule),
             f"feature_distance_{name}": _distance(
                 scorer, f"feature_distance_{name}", true, [held], extractor, rule=rule
             ),
@@ -114,11 +113,14 @@ def turn_figures(
     return figures
 
 
-def _likeness(scorer: Scorer, name: str, values: Tensor, rule: str) -> dict[str, Any]:
+def _likeness(
+    scorer: Scorer, name: str, metric: Callable[[Tensor, Tensor], Tensor], images: Tensor, rule: str
+) -> dict[str, Any]:
     ends, unit = (-1.0, 1.0), None
     if name.startswith("psnr"):
         ends, unit = (0.0, metrics.PSNR_CAP), "dB"
-    return scorer.of_frames(name, "mean", [values], ends, unit, rule=rule)
+    values = scorer.measure(name, metric, [images])
+    return scorer.of_frames(name, "mean", values, ends, unit, rule=rule)
 
 
 def _distance(
@@ -147,10 +149,7 @@ def by_angle(scorer: Scorer, extractor: Extractor) -> dict[str, dict[str, Any]]:
         places = ((angle >= low) & (angle < high)).nonzero().squeeze(1)
         if len(places) < 2:
             continue
-        own = rows[places]
-        drawn = [images[places] for images in scorer.drawn]
-        sample = Sample(store.take(own), store.units(own))
-        part = Scorer(scorer.config, store, sample, drawn, None, None, scorer.runs)
+        part = scorer.part(places)
         found = part.likeness() | turn_figures(part, extractor)
         told[f"{low:g}-{high:g}°"] = {key: each for key, each in found.items() if key in BY_ANGLE}
     return told

@@ -179,3 +179,25 @@ def test_a_gallery_shows_six_held_out_turns_in_order(store: FrameStore, tmp_path
     generator.fit(store, Run(tmp_path, device="cpu", progress=False))
     write_gallery(tmp_path / "six.png", store, sample, {"nearest-pose": generator}, 0)
     assert Image.open(tmp_path / "six.png").size[1] > 6 * 128
+
+
+def test_a_part_measures_nothing_again_and_says_what_it_would_measure(store: FrameStore):
+    sample = take_sample(store, "test", 20)
+    drawn = [sample.frames.images.roll(k, 0) for k in (1, 2)]
+    whole = Scorer(ScoresConfig(), store, sample, drawn, runs=2)
+    rows, calls = torch.tensor([1, 4, 5]), []
+
+    def counted(images: torch.Tensor, truth: torch.Tensor) -> torch.Tensor:
+        calls.append(len(images))
+        return metrics.ssim(images, truth)
+
+    whole.measure("ssim", counted, drawn)
+    part = whole.part(rows)
+    told = part.likeness()
+    assert calls == [len(sample.frames.images)] * 2
+    alone = Scorer(
+        ScoresConfig(), store, part.sample, [images[rows] for images in drawn], runs=2
+    ).likeness()
+    assert told["ssim"] == alone["ssim"] and told["psnr"] == alone["psnr"]
+    assert part.sample.frames.index.tolist() == sample.frames.index[rows].tolist()
+    assert set(whole.measured) == {"ssim"}, "the whole is told nothing by its part"
