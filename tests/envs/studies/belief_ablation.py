@@ -1,6 +1,6 @@
 """What a policy on the servo's belief needs: which memory, lessons, which reward; one at a time.
 
-    python -m tests.envs.studies.belief_ablation
+    python -m tests.envs.studies.belief_ablation        # or some: … all alone stack
 
 A4C of still hearts; three trainings a way, each through another training of the servo. The best
 look of a training is chosen on the first validation patients, and it is judged on others. What is
@@ -8,6 +8,7 @@ trained is kept in `envs/runs/belief-ablation`, by its settings: a study that wa
 """
 
 import json
+import sys
 import time
 from collections.abc import Mapping
 from dataclasses import asdict, replace
@@ -31,20 +32,23 @@ BASE = PPOBeliefConfig(
     view="A4C-patients", members=str(ROOT / "envs/weights/servo"), patients=32, frames=FRAMES,
     imitate=FRAMES // 4, validate_every=FRAMES // 2, validation_starts=50,
 )  # fmt: skip
-WAYS: dict[str, Mapping[str, Any]] = {
-    "all of it": {},
-    "no memory: the last image alone": {"memory": False},
-    "a frame stack for a memory: the last 4 images": {"memory": False, "window": 4},
-    "a GRU for a memory, of the last 16 images": {
-        "memory": False, "window": 16, "recurrent": True,
-    },
-    "no lessons: reward alone": {"imitate": 0},
-    "the paper's reward, after the lessons": {
-        "reward": "paper", "grader": str(ROOT / "models/weights/phantom-patients/grader"),
-    },
-    "the oracle's reward, after the lessons": {"reward": "oracle"},
-    "lessons alone": {"imitate": FRAMES},
-}  # fmt: skip
+WAYS: dict[str, tuple[str, Mapping[str, Any]]] = {
+    "all": ("all of it", {}),
+    "alone": ("no memory: the last image alone", {"memory": False}),
+    "stack": ("a frame stack for a memory: the last 4 images", {"memory": False, "window": 4}),
+    "gru": (
+        "a GRU for a memory, of the last 16 images",
+        {"memory": False, "window": 16, "recurrent": True},
+    ),
+    "reward": ("no lessons: reward alone", {"imitate": 0}),
+    "paper": (
+        "the paper's reward, after the lessons",
+        {"reward": "paper", "grader": str(ROOT / "models/weights/phantom-patients/grader")},
+    ),
+    "oracle": ("the oracle's reward, after the lessons", {"reward": "oracle"}),
+    "lessons": ("lessons alone", {"imitate": FRAMES}),
+}
+"""How each is told, and what is set otherwise."""
 JUDGED = PatientsConfig(view="A4C-patients", split="validation", patients=40, starts=3)
 STARTS = StartSet(tuple(seeds_of("validation")[100 : 100 + JUDGED.patients]), JUDGED.starts, 0)
 SHARES = {"success_declared": "found and declared", "reached": "passed through"}
@@ -52,7 +56,7 @@ SHARES = {"success_declared": "found and declared", "reached": "passed through"}
 
 def trained(way: str, seed: int, base: PPOBeliefConfig = BASE) -> PPOBeliefAgent:
     """Return the policy of a training, trained if it is not kept."""
-    config = replace(base, **WAYS[way])
+    config = replace(base, **WAYS[way][1])
     folder = KEPT / recipe_digest(asdict(config))[:12] / f"seed-{seed}"
     if not (folder / "metrics.json").is_file():
         began = time.perf_counter()
@@ -63,7 +67,7 @@ def trained(way: str, seed: int, base: PPOBeliefConfig = BASE) -> PPOBeliefAgent
 
 def point(way: str, base: PPOBeliefConfig = BASE, starts: StartSet = STARTS) -> dict[str, Any]:
     """Return what policies of a way find."""
-    config = asdict(replace(base, **WAYS[way]))
+    config = asdict(replace(base, **WAYS[way][1]))
     about = {"starts": starts._asdict(), "trainings": TRAININGS, "config": config}
     path = KEPT / recipe_digest(config)[:12] / f"{recipe_digest(about)[:12]}.json"
     if not path.is_file():
@@ -71,7 +75,9 @@ def point(way: str, base: PPOBeliefConfig = BASE, starts: StartSet = STARTS) -> 
         acted = act_on_patients(agents, replace(JUDGED, view=base.view), starts)
         metrics, _ = measure_patients(patient_values(acted), starts.units)
         steps = metrics["episode_steps"]["value"]
-        write_json(path, {"way": way, "steps": steps, **{key: metrics[key] for key in SHARES}})
+        write_json(
+            path, {"way": WAYS[way][0], "steps": steps, **{key: metrics[key] for key in SHARES}}
+        )
         print(path.read_text(encoding="utf-8"), flush=True)
     return json.loads(path.read_text(encoding="utf-8"))
 
@@ -98,4 +104,6 @@ def figures(points: list[dict[str, Any]]) -> dict[str, Any]:
 
 
 if __name__ == "__main__":
-    write_json(RESULT, figures([point(way) for way in WAYS]))
+    if unknown := set(sys.argv[1:]) - set(WAYS):
+        sys.exit(f"no such way: {', '.join(sorted(unknown))}; there are {', '.join(WAYS)}")
+    write_json(RESULT, figures([point(way) for way in sys.argv[1:] or WAYS]))
