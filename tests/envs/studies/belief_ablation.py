@@ -41,6 +41,7 @@ WAYS: dict[str, tuple[str, Mapping[str, Any]]] = {
         {"memory": False, "window": 16, "recurrent": True},
     ),
     "reward": ("no lessons: reward alone", {"imitate": 0}),
+    "discount": ("a discount of 0.99 a step: less haste", {"gamma": 0.99}),
     "paper": (
         "the paper's reward, after the lessons",
         {"reward": "paper", "grader": str(ROOT / "models/weights/phantom-patients/grader")},
