@@ -8,7 +8,8 @@ from torch import Tensor, nn
 
 from racines_data.errors import RacinesError
 from racines_envs.agents.policy import PolicyAgent
-from racines_envs.agents.training import LearningAgent, TrainingConfig, TrainingRun
+from racines_envs.agents.settings import TrainingConfig
+from racines_envs.agents.training import LearningAgent, TrainingRun
 
 if TYPE_CHECKING:
     from tensordict import TensorDictBase

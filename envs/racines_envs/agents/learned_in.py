@@ -1,22 +1,18 @@
 """Where an agent learns, and where it is validated."""
 
-from typing import TYPE_CHECKING
-
 from racines_data.errors import RacinesError
 from racines_data.patients.memory import MEMORY
 from racines_data.terminal import note
 from racines_data.world import World
+from racines_envs.agents.settings import TrainingConfig
 from racines_envs.task.names import HEART_TIER
 from racines_envs.worlds.making import WorldLike, find_task, make_phantom
 from racines_envs.worlds.recorded.opening import of_split
 from racines_envs.worlds.recorded.world import Recordings
 from racines_envs.worlds.ward import make_ward
 
-if TYPE_CHECKING:
-    from racines_envs.agents.training import TrainingConfig
 
-
-def worlds(config: "TrainingConfig", phantom: WorldLike) -> tuple[World, World]:
+def worlds(config: TrainingConfig, phantom: WorldLike) -> tuple[World, World]:
     """Return where a run learns and where it is validated: one heart, or patients of two splits.
 
     In recordings that stand alone it is validated from starts of the validation split, and from its

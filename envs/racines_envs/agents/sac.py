@@ -13,7 +13,8 @@ from torch import Tensor, nn
 from racines_data.errors import RacinesError
 from racines_envs.agents.networks import ObservationNetwork, PoseEncoder
 from racines_envs.agents.policy import PolicyAgent, make_network
-from racines_envs.agents.training import LearningAgent, TrainingConfig, TrainingRun
+from racines_envs.agents.settings import TrainingConfig
+from racines_envs.agents.training import LearningAgent, TrainingRun
 from racines_envs.task.motion import VELOCITY, Velocity
 from racines_envs.worlds.making import find_task
 from racines_models.networks.batching import in_fixed_batches

@@ -1,4 +1,4 @@
-"""What agents that learn share: settings, environments, validation, curves, checkpoints.
+"""What agents that learn share: environments, validation, curves, checkpoints.
 
 A checkpoint must agree in a run's settings and in the content of all that it rests on. Encoder,
 grader and generator count by the hash of their weights, not by where they lie: a run goes on where
@@ -11,7 +11,6 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from contextlib import contextmanager
 from copy import deepcopy
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Self, cast
 
@@ -28,7 +27,7 @@ from racines_envs.agents.learned_in import worlds
 from racines_envs.agents.networks import PoseEncoder, open_encoder
 from racines_envs.agents.policy import PolicyAgent, make_actor, told_settings
 from racines_envs.agents.rollout import rollout
-from racines_envs.robots.arm import FREE
+from racines_envs.agents.settings import TrainingConfig
 from racines_envs.task.rewards import RewardConfig, get_reward
 from racines_envs.task.starts import validation_seeds
 from racines_envs.worlds.backends import JudgeLike, make_grader, source_weights, usual_grader
@@ -48,60 +47,6 @@ FINISHED, VALIDATED = ("success", "steps", "return"), ("success", "steps", "grad
 """What the curves tell of the episodes that ended in training, and of those of a validation."""
 KEPT = ("frames", "seconds", "best", "best_state", "history")
 """Attributes of a run that a checkpoint holds as they are."""
-
-
-@dataclass(frozen=True)
-class TrainingConfig:
-    """What is learned where, and the parts of a training that no method changes."""
-
-    view: str = "SC"
-    """The target view, or a task on patients, as `SC-patients`."""
-    patients: int = 64
-    """On patients: how many of the train split; half as many validation patients choose."""
-    observation: str = "params"
-    """`image`, `params` or `multimodal`."""
-    encoder: str = ""
-    """What looks at the image: `explored` (published; see `networks.py`) or the folder of another
-    pose regressor, frozen; "" for convolutions that learn from reward alone, as in the paper."""
-    rotation: str = "continuous"
-    """How a network reads the pose's rotation: `continuous`, its first two columns, or `euler`, the
-    angles that the paper records, which jump by 2π near the pose that looks straight down."""
-    reward: str = "shaped"
-    """`paper` (needs a grader), `oracle` or `shaped`."""
-    termination: str = ""
-    """`first_hit`, `k_hits` or `timeout` in training; the task's own rule if empty."""
-    backend: str = "phantom"
-    """`phantom`, `generator` or `replay`; nothing is drawn where nothing looks."""
-    generator: str = ""
-    """Name or run folder, for the backend `generator`."""
-    grader: str = ""
-    """Run folder, for the reward `paper`; models/runs/grader if empty."""
-    robot: str = FREE
-    """`free`, or the arm that carries the probe: `ur5e`, another's name, `module:ARM`. What its
-    joints do is not observed."""
-    frames: int = 300_000
-    """Environment steps in all; rounded up to whole updates."""
-    envs: int = 64
-    """Environments side by side."""
-    collectors: int = 1
-    """Groups of environments that act each by themselves, on workers with `--engine ray`."""
-    update_every: int = 2_048
-    """Environment steps between updates, a multiple of `envs`."""
-    gamma: float = 0.97
-    """Discount."""
-    reward_scale: float = 0.05
-    """Multiplies rewards before learning; reports stay unscaled."""
-    max_gradient: float = 0.5
-    """Gradient norm at which to clip."""
-    hidden: tuple[int, ...] = (128, 128)
-    """Widths of the dense layers."""
-    validate_every: int = 50_000
-    """Environment steps between validations; also between checkpoints."""
-    validation_starts: int = 100
-    """Episodes a validation, from starts that no evaluation uses."""
-    threads: int = 1
-    """CPU threads; small networks are fastest with one. 0 leaves torch as it is."""
-    device: str = "cpu"
 
 
 class TrainingRun(ABC):
