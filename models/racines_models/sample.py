@@ -1,7 +1,7 @@
 """What generators are scored on: the same frames for all, and the images drawn of their poses."""
 
 import timeit
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
@@ -146,3 +146,8 @@ def speed(generator: ImageSource, frames: Batch, batch: int, repeats: int = 5) -
     generator.generate(parameters, seeds)
     call = timeit.Timer(lambda: generator.generate(parameters, seeds).cpu())
     return batch / min(call.repeat(repeats, number=1))
+
+
+def runs_of(generator: ImageSource | Sequence[ImageSource]) -> list[ImageSource]:
+    """Return the trainings of a method: several, or the one that is given."""
+    return list(generator) if isinstance(generator, Sequence) else [generator]

@@ -21,7 +21,7 @@ from racines_models.judges.pose.training import LARGEST, pose_errors
 from racines_models.judges.segmentation.model import SegmentationJudge
 from racines_models.judges.segmentation.overlap import dice
 from racines_models.judges.segmentation.structures import relabel, to_structures
-from racines_models.sample import Progress, Sample, evenly
+from racines_models.sample import Progress, Sample, evenly, runs_of
 from racines_models.scores import diversity, metrics
 from racines_models.scores.features import (
     Extractor,
@@ -393,11 +393,6 @@ def _measured(
         return {metric.name: float(metric.measure(drawn[rows], truth[rows]))}
 
     return measure
-
-
-def runs_of(generator: ImageSource | Sequence[ImageSource]) -> list[ImageSource]:
-    """Return the trainings of a method: several, or the one that is given."""
-    return list(generator) if isinstance(generator, Sequence) else [generator]
 
 
 def plain(value: float, n: int, unit: str | None = None, **settings: Any) -> dict[str, Any]:

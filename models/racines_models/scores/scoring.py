@@ -18,10 +18,10 @@ from racines_models.contract import declared
 from racines_models.judges.grader.model import Grader
 from racines_models.judges.pose.regressor import PoseRegressor
 from racines_models.provenance import code_version, dataset_card, environment
-from racines_models.sample import Progress, Sample, draw, speed, take_sample
+from racines_models.sample import Progress, Sample, draw, runs_of, speed, take_sample
 from racines_models.scores.features import Extractor, GraderFeatures, InceptionFeatures, Remembered
 from racines_models.scores.scorer import PRDC_FRAMES as PRDC_FRAMES
-from racines_models.scores.scorer import Scorer, ScoresConfig, plain, runs_of
+from racines_models.scores.scorer import Scorer, ScoresConfig, plain
 from racines_models.scores.spread import SpreadExtractor, SpreadGrader, SpreadPose, spread_draw
 from racines_models.scores.turns import by_angle, turn_figures
 from racines_models.statistics import Evidence
