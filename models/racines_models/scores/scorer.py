@@ -263,14 +263,8 @@ class Scorer:
         if scanned is not None:
             told = {"rule": "root mean square difference of two new scans of one pose"}
             told |= {"source": self.store.manifest["source"]}
-            figures["diversity_truth"] = self.of_frames(
-                "diversity_truth",
-                "mean",
-                [self._placed(scanned, places)],
-                BLACK_TO_WHITE,
-                GRAY,
-                **told,
-            )
+            name, values = "diversity_truth", [self._placed(scanned, places)]
+            figures[name] = self.of_frames(name, "mean", values, BLACK_TO_WHITE, GRAY, **told)
         return figures
 
     def _placed(self, values: Tensor, places: Tensor) -> Tensor:
