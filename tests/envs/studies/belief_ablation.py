@@ -29,7 +29,7 @@ RESULT = ROOT / "docs/results/belief-ablation.json"
 KEPT = Path("envs/runs/belief-ablation")
 TRAININGS, FRAMES = 3, 102_400
 BASE = PPOBeliefConfig(
-    view="A4C-patients", members=str(ROOT / "envs/weights/servo"), patients=32, frames=FRAMES,
+    view="A4C-patients", members="envs/weights/servo", patients=32, frames=FRAMES,
     imitate=FRAMES // 4, validate_every=FRAMES // 2, validation_starts=50,
 )  # fmt: skip
 WAYS: dict[str, tuple[str, Mapping[str, Any]]] = {
@@ -44,7 +44,7 @@ WAYS: dict[str, tuple[str, Mapping[str, Any]]] = {
     "discount": ("a discount of 0.99 a step: less haste", {"gamma": 0.99}),
     "paper": (
         "the paper's reward, after the lessons",
-        {"reward": "paper", "grader": str(ROOT / "models/weights/phantom-patients/grader")},
+        {"reward": "paper", "grader": "models/weights/phantom-patients/grader"},
     ),
     "oracle": ("the oracle's reward, after the lessons", {"reward": "oracle"}),
     "lessons": ("lessons alone", {"imitate": FRAMES}),
@@ -93,7 +93,7 @@ def figures(points: list[dict[str, Any]]) -> dict[str, Any]:
         "schema": "racines.figures/1",
         "what": "policies on the servo's belief with one part left out, A4C of still validation "
         "patients",
-        "command": "python -m tests.envs.studies.belief_ablation",
+        "command": " ".join(["python -m tests.envs.studies.belief_ablation", *sys.argv[1:]]),
         "machine": f"one core of a shared {environment('cpu')['cpu']}",
         "source": "measured once",
         "figures": {
