@@ -102,7 +102,10 @@ class Scorer:
     def measure(
         self, name: str, metric: Callable[[Tensor, Tensor], Tensor], sets: Sequence[Tensor]
     ) -> list[Tensor]:
-        """Return (N,) values of a metric of each image and the frame at its pose, for each set."""
+        """Return (N,) values of a metric of each image and the frame at its pose, for each set.
+
+        What has been measured by a name is not measured again.
+        """
         if name not in self.measured:
             self.measured[name] = [metric(images, self.sample.frames.images) for images in sets]
         return self.measured[name]

@@ -26,14 +26,14 @@ from tests.envs.studies.patients_curve import percent
 
 ROOT = Path(__file__).parents[3]
 RESULT = ROOT / "docs/results/belief-ablation.json"
-KEPT = Path("envs/runs/belief-ablation")
+KEPT, METRICS = Path("envs/runs/belief-ablation"), "seed-*/metrics.json"
 TRAININGS, FRAMES = 3, 102_400
 BASE = PPOBeliefConfig(
     view="A4C-patients", members="envs/weights/servo", patients=32, frames=FRAMES,
     imitate=FRAMES // 4, validate_every=FRAMES // 2, validation_starts=50,
 )  # fmt: skip
 WAYS: dict[str, tuple[str, Mapping[str, Any]]] = {
-    "all": ("all of it", {}),
+    "all": ("all of it: the servo's belief for a memory", {}),
     "alone": ("no memory: the last image alone", {"memory": False}),
     "stack": ("a frame stack for a memory: the last 4 images", {"memory": False, "window": 4}),
     "gru": (
@@ -76,29 +76,32 @@ def point(way: str, base: PPOBeliefConfig = BASE, starts: StartSet = STARTS) -> 
         acted = act_on_patients(agents, replace(JUDGED, view=base.view), starts)
         metrics, _ = measure_patients(patient_values(acted), starts.units)
         steps = metrics["episode_steps"]["value"]
-        write_json(
-            path, {"way": WAYS[way][0], "steps": steps, **{key: metrics[key] for key in SHARES}}
-        )
+        write_json(path, {"steps": steps, **{key: metrics[key] for key in SHARES}})
         print(path.read_text(encoding="utf-8"), flush=True)
-    return json.loads(path.read_text(encoding="utf-8"))
+    seconds = [json.loads(each.read_text())["seconds"] for each in path.parent.glob(METRICS)]
+    return json.loads(path.read_text(encoding="utf-8")) | {"seconds": seconds}
 
 
-def figures(points: list[dict[str, Any]]) -> dict[str, Any]:
-    """Return the table of the points."""
+def figures(points: Mapping[str, dict[str, Any]]) -> dict[str, Any]:
+    """Return the table of the ways' points."""
     rows = [
-        [each["way"], *(percent(each[key]) for key in SHARES), f"{each['steps']:.0f}"]
-        for each in points
+        [WAYS[way][0], *(percent(each[key]) for key in SHARES), f"{each['steps']:.0f}"]
+        for way, each in points.items()
     ]
+    asked = () if list(points) == list(WAYS) else points
+    levels = [each[key]["settings"]["level"] for each in points.values() for key in SHARES]
+    minutes = [each / 60 for point in points.values() for each in point["seconds"]]
     return {
         "schema": "racines.figures/1",
-        "what": "policies on the servo's belief with one part left out, A4C of still validation "
-        "patients",
-        "command": " ".join(["python -m tests.envs.studies.belief_ablation", *sys.argv[1:]]),
+        "what": "policies on the servo's belief, one part left out or in another's place, A4C of "
+        "still validation patients",
+        "command": " ".join(["python -m tests.envs.studies.belief_ablation", *asked]),
         "machine": f"one core of a shared {environment('cpu')['cpu']}",
         "source": "measured once",
         "figures": {
             "frames": FRAMES, "trainings": TRAININGS, "patients": JUDGED.patients,
-            "starts": JUDGED.starts, "learned": BASE.patients,
+            "starts": JUDGED.starts, "learned": BASE.patients, "level": round(100 * min(levels)),
+            "minutes_least": round(min(minutes)), "minutes_most": round(max(minutes)),
         },
         "tables": {"ablation": {"columns": ["", *SHARES.values(), "steps"], "rows": rows}},
     }  # fmt: skip
@@ -107,4 +110,4 @@ def figures(points: list[dict[str, Any]]) -> dict[str, Any]:
 if __name__ == "__main__":
     if unknown := set(sys.argv[1:]) - set(WAYS):
         sys.exit(f"no such way: {', '.join(sorted(unknown))}; there are {', '.join(WAYS)}")
-    write_json(RESULT, figures([point(way) for way in sys.argv[1:] or WAYS]))
+    write_json(RESULT, figures({way: point(way) for way in sys.argv[1:] or WAYS}))

@@ -25,8 +25,8 @@ def test_what_is_trained_and_judged_is_kept(tmp_path, monkeypatch):
     starts = StartSet((seeds_of("validation")[100],), 1, 0)
     way = "alone"
     told = study.point(way, few, starts)
-    assert len([*tmp_path.glob("*/seed-*/metrics.json")]) == 2
+    assert len([*tmp_path.glob(f"*/{study.METRICS}")]) == 2
     monkeypatch.setattr(study, "act_on_patients", None)
     assert study.point(way, few, starts) == told, "and not judged again"
-    ((shown, *cells),) = study.figures([told])["tables"]["ablation"]["rows"]
+    ((shown, *cells),) = study.figures({way: told})["tables"]["ablation"]["rows"]
     assert shown == study.WAYS[way][0] and len(cells) == 3

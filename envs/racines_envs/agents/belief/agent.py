@@ -45,7 +45,7 @@ class PPOBeliefConfig(PPOConfig):
     """Run of a servo, a name, trained here or published, or a folder. A training sees through the
     servo's of the same seed."""
     memory: bool = True
-    """Add up the readings of an episode; False: it knows the last image alone."""
+    """Add up the readings of an episode; False: it knows the looks of its window alone."""
     window: int = 1
     """Looks that it is told of, the last and those before. Of more than one it is told where the
     probe was, too."""
@@ -74,10 +74,10 @@ class PPOBeliefConfig(PPOConfig):
             raise RacinesError(
                 f"agents.ppo-belief.imitate: {self.imitate}: give 0 to frames, {self.frames}"
             )
-        if self.window < 1 or (self.recurrent and self.window == 1):
+        if not 1 + self.recurrent <= self.window <= task.max_steps:
             raise RacinesError(
-                f"agents.ppo-belief.window: {self.window}: give 1 or more looks, 2 or more to be "
-                "recurrent"
+                f"agents.ppo-belief.window: {self.window}: give 1 to {task.max_steps} looks, "
+                "as many as an episode has steps; 2 or more to be recurrent"
             )
         if self.collectors != 1:
             raise RacinesError("agents.ppo-belief.collectors: beliefs stay in one process: give 1")
