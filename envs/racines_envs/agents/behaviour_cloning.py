@@ -7,27 +7,30 @@ next says little. Hindsight says more: a frame that the hand came to later is a 
 its way to (relabelling as in Andrychowicz et al., Hindsight Experience Replay, 2017; as supervision
 in Ghosh et al., Learning to Reach Goals via Iterated Supervised Learning, 2021). No environment is
 touched: neither reward, grader nor oracle; only the recorded images, poses, views and grades.
+
+A patient is swept once a view, and the heart stays where it is. With a `horizon` of 0 the goal is
+the best of all frames of the same heart, whichever sweep it was met on.
 """
 
 from collections.abc import Iterator, Mapping
 from copy import deepcopy
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar, NamedTuple, Self
+from typing import Any, ClassVar, Self
 
 import torch
 from torch import Tensor, nn
 from torch.optim import AdamW, Optimizer
 
 from racines_data.errors import RacinesError
-from racines_data.geometry import Pose, parameters_to_pose, rotation_6d
+from racines_data.patients.placement import workspace
 from racines_data.store.frames import FrameStore, open_store
+from racines_envs.agents.demonstrations import Demonstrations, demonstrations, encode_params, hearts
 from racines_envs.agents.networks import open_encoder
-from racines_envs.agents.planner import cost_to_go
 from racines_envs.agents.policy import make_actor
 from racines_envs.agents.training import LearningAgent, seeded, settings_identity
-from racines_envs.task.actions import ACTIONS, IDLE, ActionTable
-from racines_envs.task.tasks import Task
+from racines_envs.task.actions import ACTIONS, IDLE
+from racines_envs.task.names import HEART_TIER
 from racines_envs.worlds.backends import JudgeLike
 from racines_envs.worlds.making import WorldLike, find_task, make_phantom
 from racines_models.protocol import Run
@@ -39,8 +42,6 @@ from racines_models.training.trainer import train
 
 READ = 256
 """Images encoded at once."""
-CHUNK = 8192
-"""Poses whose costs are found at once."""
 LABELLED_BY = ("horizon", "both_ways", "least_grade", "still_grade")
 """Settings of the demonstrations."""
 KEPT = ("best", "best_state", "history")
@@ -52,14 +53,18 @@ class BehaviourCloningConfig:
     """What is imitated and how it is learned."""
 
     view: str = "SC"
-    """The target view."""
+    """The target view; on patients a task's name, such as `A4C-patients`."""
+    recordings: str = ""
+    """Config of the dataset that is imitated; "": that of the view's tier, `frames` for the one
+    heart."""
     observation: str = "image"
     """`image`, `params` or `multimodal`."""
     encoder: str = ""
     """What looks at the image: `pose` (the published pose regressor, frozen), a folder of another,
     or "" for convolutions that learn from the demonstrations alone."""
     horizon: int = 150
-    """Frames between a frame and its goal, at most."""
+    """Frames between a frame and its goal on one trajectory, at most; 0: the goal is the best frame
+    of the same heart, on any of its trajectories."""
     both_ways: bool = True
     """Let goals lie before a frame as well: a hand that leaves, played backwards, arrives."""
     least_grade: float = 5.0
@@ -86,99 +91,6 @@ class BehaviourCloningConfig:
     threads: int = 0
     """CPU threads; 0 leaves torch as it is."""
     device: str = "cpu"
-
-
-class Demonstrations(NamedTuple):
-    """M frames and what to do there."""
-
-    rows: Tensor
-    """(M,) int64 rows of the store."""
-    trajectory: Tensor
-    """(M,) int64, the trajectory of each."""
-    cost: Tensor
-    """(M, 13) squared distance to the goal after each action, in unit steps."""
-    action: Tensor
-    """(M,) int64, the action of least cost; idle where the view is well in sight."""
-
-    @property
-    def trajectories(self) -> int:
-        """How many trajectories they come from."""
-        return len(self.trajectory.unique())
-
-
-def demonstrations(
-    store: FrameStore, split: str, task: Task, *, horizon: int = 150, both_ways: bool = True,
-    least_grade: float = 5.0, still_grade: float = 6.5,
-) -> Demonstrations:  # fmt: skip
-    """Label the frames of a split that have a goal.
-
-    The goal is the best-graded frame of the target view, of `least_grade` or more, at most
-    `horizon` frames after it on the same trajectory. With `both_ways` it may lie before it as well:
-    nothing moves in the block but the probe, so a hand that leaves, played backwards, arrives. From
-    a `still_grade` of the target view on, the label is to idle.
-
-    Raises:
-        RacinesError: the dataset does not know the view, or no frame has a goal.
-    """
-    if task.view not in store.labels:
-        raise RacinesError(f"{store.root}: has no view {task.view}: {', '.join(store.labels)}")
-    start, stop = store.bounds(split)
-    seen = store.views[start:stop] == store.labels.index(task.view)
-    worth = torch.where(seen, store.grades[start:stop], torch.nan)
-    worth = torch.where(worth >= least_grade, worth, 0.0)
-    pose = parameters_to_pose(store.parameters[start:stop])
-    if not bool((worth > 0).any()):
-        raise RacinesError(
-            f"{store.root}: no frame of split {split!r} shows {task.view} with a grade of "
-            f"{least_grade:g} or more: there is nothing to imitate; lower least_grade, or build "
-            "more frames"
-        )
-    trajectory = store.trajectory_index[start:stop]
-    goal = _within(worth, trajectory, horizon, both_ways)
-    rows = (goal >= 0).nonzero().squeeze(1)
-    cost = costs(_rows(pose, rows), _rows(pose, goal[rows]), task)
-    still = worth[rows] >= still_grade
-    action = torch.where(still, IDLE, cost.argmin(1))
-    return Demonstrations(rows + start, trajectory[rows], cost, action)
-
-
-def costs(pose: Pose, goal: Pose, task: Task) -> Tensor:
-    """Return the planner's (M, 13) costs to go to M goals after each action."""
-    table = ActionTable.make(task.step_translation, task.step_rotation, pose.position.device)
-    count, parts = len(ACTIONS), []
-    for rows in torch.arange(len(pose.position)).split(CHUNK):
-        each = rows.repeat_interleave(count)
-        moved = table.move(_rows(pose, each), torch.arange(count).repeat(len(rows)))
-        parts.append(cost_to_go(moved, _rows(goal, each), task).view(-1, count))
-    return torch.cat(parts)
-
-
-def encode_params(parameters: Tensor, workspace: Any) -> Tensor:
-    """Return the (M, 9) observation `params` of (M, 12) recorded parameters (see `ScanCore`)."""
-    pose = parameters_to_pose(parameters)
-    centre = (workspace.position_max + workspace.position_min) / 2
-    half = (workspace.position_max - workspace.position_min) / 2
-    encoded = torch.cat([(pose.position - centre) / half, rotation_6d(pose.rotation)], -1)
-    return encoded.clamp(-1.0, 1.0)
-
-
-def _within(worth: Tensor, trajectory: Tensor, horizon: int, both_ways: bool) -> Tensor:
-    """Return the (n,) best goals in the window of each frame's own trajectory, -1 for none."""
-    counts = torch.unique_consecutive(trajectory, return_counts=True)[1].tolist()
-    goals, first = [], 0
-    for best in worth.split(counts):
-        rows = torch.arange(len(best))
-        ahead = rows[None] - rows[:, None]
-        near = (ahead.abs() if both_ways else ahead) <= horizon
-        near &= both_ways | (ahead >= 0)
-        value, index = torch.where(near, best[None], 0.0).max(1)
-        goals.append(torch.where(value > 0, index + first, -1))
-        first += len(best)
-    return torch.cat(goals)
-
-
-def _rows(pose: Pose, rows: Tensor) -> Pose:
-    return Pose(*(each[rows] for each in pose))
 
 
 class _Examples:
@@ -218,11 +130,20 @@ class CloningLearner(Course):
             raise RacinesError("agents.behaviour-cloning: epochs >= 1 and batch_size >= 2, please")
         self.config, self.store, self.seed = config, store, seed
         self.device, self.task = torch.device(config.device), find_task(config.view, phantom)
+        one_heart = self.task.tier == HEART_TIER
+        if one_heart == (store.patients is not None):
+            held = "one heart" if store.patients is None else "patients"
+            raise RacinesError(
+                f"agents.behaviour-cloning: task {self.task.id} cannot imitate config "
+                f"{store.config} of {store.root}, which scans {held}: give another view, or "
+                "recordings of its tier"
+            )
         looks = config.observation != "params"
         self.encoder = open_encoder(config.encoder, config.device) if looks else None
         self.space: Any = None
         if config.observation != "image":
-            self.space = make_phantom(phantom, "cpu", self.task.anatomy).workspace
+            world = make_phantom(phantom, "cpu", self.task.anatomy) if one_heart else None
+            self.space = world.workspace if world else workspace(torch.device("cpu"))
         self.identity = settings_identity(self.name, config, seed, self.encoder)
         self.identity |= {"data": store.digest}
         self.actor = make_actor(config, self.encoder).to(self.device)
@@ -322,12 +243,15 @@ class CloningLearner(Course):
         self.actor.load_state_dict(self.best_state)
         self.actor.eval()
         right, helps = _verdicts(self._held_logits(), self.held.shown)
-        place = self.held.shown.trajectory.unique(return_inverse=True)[1]
+        trajectory, over = self.held.shown.trajectory, "trajectories"
+        place = trajectory.unique(return_inverse=True)[1]
+        if self.store.patients is not None:
+            place, over = hearts(self.store, trajectory), "patients"
 
         def figure(hits: Tensor) -> dict[str, Any]:
-            # A mean of each, so that a long trajectory counts as a short one.
+            # A mean of each, so that a long one counts as a short one.
             means = torch.bincount(place, hits.double()) / torch.bincount(place)
-            return evidence.figure("mean", means, "mean over trajectories", 0.0, 1.0)
+            return evidence.figure("mean", means, f"mean over {over}", 0.0, 1.0)
 
         return {
             "epochs": len(self.history),
@@ -365,7 +289,11 @@ class BehaviourCloningAgent(LearningAgent):
         engine: Any = None,
     ) -> Self:  # fmt: skip
         """Learn the split `train` and keep the weights of least loss on `validation`."""
-        store = open_store(data) if data is None or isinstance(data, (str, Path)) else data
+        if data is None or isinstance(data, (str, Path)):
+            tier = find_task(config.view, phantom).tier
+            usual = "frames" if tier == HEART_TIER else tier
+            data = open_store(data, config.recordings or usual)
+        store = data
         with seeded(run.seed, config.threads):
             learner = CloningLearner(config, store, run.seed, phantom)
             metrics = learner.finish(train(learner, store, learner.training, run, learner))

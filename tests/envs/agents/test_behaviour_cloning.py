@@ -12,12 +12,8 @@ from racines_data.errors import RacinesError
 from racines_data.geometry import Pose, pose_to_parameters
 from racines_data.views import LABELS
 from racines_envs.agents import load_agent
-from racines_envs.agents.behaviour_cloning import (
-    BehaviourCloningAgent,
-    BehaviourCloningConfig,
-    demonstrations,
-    encode_params,
-)
+from racines_envs.agents.behaviour_cloning import BehaviourCloningAgent, BehaviourCloningConfig
+from racines_envs.agents.demonstrations import demonstrations, encode_params
 from racines_envs.agents.planner import PlannerAgent
 from racines_envs.agents.policy import choose
 from racines_envs.agents.random import RandomAgent
@@ -36,7 +32,7 @@ class FakeStore:
     """Frames of a few sweeps in memory, with what is used of a `FrameStore`."""
 
     root, digest, manifest, labels = Path("data/racines"), "0" * 8, {}, LABELS
-    phased = False
+    phased, patients, config = False, None, "frames"
 
     def __init__(self, phantom, pose, trajectory, splits):
         truth = phantom.judge(pose)
@@ -93,6 +89,38 @@ def test_a_frame_is_labelled_with_the_step_towards_what_its_sweep_came_to(phanto
     forward = demonstrations(store, "train", task, both_ways=False)
     assert forward.rows.tolist() == [0, 1, 2, 3]
     assert demonstrations(store, "train", task, horizon=1).rows.tolist() == [2, 3, 4]
+
+
+def test_a_goal_may_lie_on_any_sweep_of_the_same_heart(phantom):
+    store = line(phantom, [-0.04, -0.03, 0.0, -0.03, -0.02, 0.03], [0, 0, 1, 2, 2, 3])
+    assert demonstrations(store, "train", Task("SC")).rows.tolist() == [2]
+    assert demonstrations(store, "train", Task("SC"), horizon=0).rows.tolist() == list(range(6))
+    store.patients = [7, 7, 9, 7]  # no sweep of patient 9 came to the view
+    shown = demonstrations(store, "train", Task("SC"), horizon=0)
+    assert shown.rows.tolist() == [0, 1, 2, 5] and shown.trajectories == 3
+    assert [ACTIONS[action] for action in shown.action.tolist()] == ["+x", "+x", "idle", "-x"]
+
+
+def test_of_patients_it_imitates_the_config_of_their_tier(phantom, tmp_path, monkeypatch):
+    from racines_envs.agents import behaviour_cloning
+
+    store, opened = sweeps(phantom, 10), []
+    monkeypatch.setattr(
+        behaviour_cloning, "open_store", lambda *named: opened.append(named) or store
+    )
+    store.patients, store.config = [0, 0, 1, 1, 2, 2, 3, 3, 4, 4], "patients"
+    config = replace(TINY, view="SC-patients", horizon=0, epochs=1)
+    for each in (config, replace(config, recordings="beating")):
+        BehaviourCloningAgent.train(each, tmp_path, data="frames", resume=False, progress=False)
+    assert [name for _, name in opened] == ["patients", "beating"]
+    metrics = json.loads((tmp_path / "metrics.json").read_text())
+    accuracy = metrics["held_out_action_accuracy"]
+    assert accuracy["unit"] == "mean over patients" and accuracy["n"] == 1
+    with pytest.raises(RacinesError, match="SC-v0 cannot imitate config patients.*scans patients"):
+        BehaviourCloningAgent.train(replace(TINY, epochs=1), tmp_path, data=store, resume=False)
+    store.patients = None
+    with pytest.raises(RacinesError, match="SC-patients-v0 cannot imitate .*scans one heart"):
+        BehaviourCloningAgent.train(config, tmp_path, data=store, resume=False)
 
 
 def test_recorded_poses_are_encoded_as_the_environment_encodes_them(phantom):
@@ -193,13 +221,15 @@ def test_the_command_learns_from_the_folder_it_is_given(phantom, tmp_path, monke
     from racines_leaderboard.cli.command import app
 
     opened = []
-    monkeypatch.setattr(behaviour_cloning, "open_store", lambda root: opened.append(root) or store)
+    monkeypatch.setattr(
+        behaviour_cloning, "open_store", lambda *named: opened.append(named) or store
+    )
     monkeypatch.chdir(tmp_path)
     store = sweeps(phantom, 10)
     (tmp_path / "params.yaml").write_text("agents:\n  behaviour-cloning: {epochs: 1}\n")
     words = ["train", "agent", "behaviour-cloning", "--view", "SC", "--data", "frames", "--json"]
     done = CliRunner().invoke(app, words, catch_exceptions=False)
-    assert done.exit_code == 0 and opened == [Path("frames")]
+    assert done.exit_code == 0 and opened == [(Path("frames"), "frames")]
     metrics = json.loads(done.stdout)
     assert metrics["epochs"] == 1 and metrics["demonstrations"]["train"]["trajectories"] in (7, 8)
     assert (tmp_path / "envs/runs/behaviour-cloning/policy.safetensors").is_file()
