@@ -42,6 +42,9 @@ GROUPS = {
     "envs/weights/patients/ppo-*": "policies on still patients that see the pose, three trainings "
     "a view",
     "envs/weights/beating/ppo-*": "the same on beating hearts",
+    "envs/weights/patients/behaviour-cloning-*": "policy that imitates sweeps of patients, three "
+    "trainings",
+    "envs/weights/beating/behaviour-cloning-*": "the same for beating hearts",
     "envs/weights/ppo-belief": "policy on patients that sees through the servo, three trainings",
     "envs/weights/constant-pose": "floor on patients: a pose for each view",
     "envs/weights/blind-tour": "floor on patients: poses for each view",
