@@ -39,6 +39,23 @@ def has_bfloat16(device: torch.device | str) -> bool:
     return torch.cuda.is_bf16_supported()
 
 
+def check_compiler(device: str, setting: str) -> None:
+    """Refuse to compile for a CPU where PyTorch finds no C++ compiler, before anything is done.
+
+    Raises:
+        RacinesError: there is none; it names the setting that asks for one.
+    """
+    from torch._inductor.cpp_builder import get_cpp_compiler
+    from torch._inductor.exc import InvalidCxxCompiler
+
+    try:
+        if device == "cpu":
+            get_cpp_compiler()
+    except InvalidCxxCompiler as error:
+        remedy = f"install one (g++), name it in CXX, or leave {setting} false"
+        raise RacinesError(f"{setting}: no C++ compiler was found: {remedy}") from error
+
+
 def on_device(config: C) -> C:
     """Return a config with what its `device` stands for; raises as `resolve_device`."""
     settings: Any = config

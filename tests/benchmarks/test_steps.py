@@ -10,6 +10,8 @@ convolution may round differently in other batches. The single environments of o
 grader, each process of its own loads one. The student is untrained, of the default configuration,
 since weights do not change its speed.
 
+Compiled steps stand beside the same rows that are not compiled, equal to a rounding.
+
 Patients stand beside the one heart, ours beside ours. That each row of theirs is the single
 environment of its seed, bit by bit, is asserted before they are timed.
 """
@@ -32,7 +34,7 @@ from racines_envs.task.actions import ACTIONS
 from racines_envs.worlds.backends import make_grader
 from racines_models.judges.student.model import Student, StudentConfig
 from tests.benchmarks.lines import line_of
-from tests.benchmarks.turns import in_turns
+from tests.benchmarks.turns import Times, in_turns
 from tests.conftest import ROOT
 
 ENVS = 64
@@ -48,6 +50,10 @@ GRADES = "observations, flags; rewards within a grade's rounding"
 HEART = "the one heart"
 TIERS = {HEART: "SC-v0", "patients": "SC-patients-v0", "beating hearts": "SC-beating-v0"}
 BESIDE = ("patients", "beating hearts")
+COMPILED = (HEART, "patients")
+COMPILED_WORK = "compiled steps of 64 environments, params, {}"
+UNCOMPILED = "the same, not compiled"
+FLAGS = "flags; observations and rewards within 1e-4"
 GRADED = {"student": 500.0, "resnet18": 150.0}
 """Least steps a second with a grader, on two cores."""
 
@@ -78,6 +84,33 @@ def test_64_rows_in_one_core(benchmark, line, observation: str) -> None:
         one = line_of(work, "steps/s", items, times, PEERS[name], EVERY, least)
         line(one)
         assert one.ratio >= least, one
+
+
+@pytest.mark.timeout(600)
+@pytest.mark.slow
+@pytest.mark.parametrize("name", COMPILED)
+def test_compiled_steps(benchmark, line, name: str) -> None:
+    """Steps by the pose with `compile=True`, beside the same rows without, and single ones."""
+    task, settings = TIERS[name], {"observation": "params", "reward": "oracle"}
+    ours, plain = rows_of(task, **settings, compile=True), rows_of(task, **settings)
+    single = single_rows(task, **settings)
+    steps = 5 * STEPS["params"]
+    sides = {"ours": (ours, steps), UNCOMPILED: (plain, steps), PEERS["sync"]: (single, 6)}
+    try:
+        told = {side: play(env, 2, 1)[1] for side, (env, _) in sides.items()}
+        for side in told:
+            assert_equal_but_for_float32(told["ours"], told[side])
+        times: Times = {side: [] for side in sides}
+        for _ in range(ROUNDS):
+            for side, (env, count) in sides.items():  # seconds of so many steps, resets left out
+                times[side].append(play(env, count, 0)[0] * steps / count)
+        benchmark.pedantic(lambda: play(ours, steps, 0), rounds=ROUNDS)
+    finally:
+        for env, _ in sides.values():
+            env.close()
+    work = COMPILED_WORK.format("no grader" if name == HEART else name)
+    for peer in (UNCOMPILED, PEERS["sync"]):
+        line(line_of(work, "steps/s", steps * ENVS, times, peer, FLAGS))
 
 
 @pytest.mark.timeout(300)
@@ -197,6 +230,13 @@ def assert_equal_but_for_rounding(ours: list[tuple], peers: list[tuple]) -> None
     assert_equal(ours, peers, parts=(0, 2, 3))
     for one, other in zip(ours, peers, strict=True):
         assert np.allclose(one[1], other[1], atol=0.5), "grades are of bfloat16"
+
+
+def assert_equal_but_for_float32(ours: list[tuple], peers: list[tuple]) -> None:
+    """Check that steps are equal, numbers as far as code that was compiled rounds alike."""
+    assert_equal(ours, peers, parts=(2, 3))
+    for one, other in zip(ours, peers, strict=True):
+        assert all(np.allclose(one[k], other[k], rtol=0.0, atol=1e-4) for k in (0, 1))
 
 
 def rate(seconds: list[float], steps: int) -> float:

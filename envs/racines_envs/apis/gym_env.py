@@ -233,9 +233,10 @@ class VectorScanEnv(VectorEnv[Any, Any, Any]):
         told = self.core.info(view_error=False)
         infos: dict[str, Any] = {}
         for name, value in told.items():
-            array = value.cpu().numpy()
-            infos[name] = np.where(here, array, np.zeros_like(array))
-            infos[f"_{name}"] = here.copy()
+            array = value.cpu().numpy().copy()
+            if rows is not None:
+                array[~here] = 0
+            infos[name], infos[f"_{name}"] = array, here.copy()
         edge, at = self._scan.edge_info()
         present = np.zeros(self.num_envs, dtype=np.bool_)
         present[at.cpu().numpy()] = True

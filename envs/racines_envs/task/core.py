@@ -187,6 +187,10 @@ class ScanCore:
             ended = (chosen & state.done).nonzero().squeeze(1)
             if len(ended):
                 self.state = self.state.replaced(ended, self._begin(ended))
+        return self._look(before, live) if rows is None else self._look(before, live, rows)
+
+    def _look(self, before: Score, live: Tensor, rows: Tensor | None = None) -> Transition:
+        """See where the rows are now, all by default, and what that is worth to the live ones."""
         self._sense(rows)
         return self._judge(before, live)
 

@@ -81,6 +81,7 @@ def make_core(
     patients: int | Sequence[int] | None = None,
     action: str = DISCRETE,
     robot: str | Arm = FREE,
+    compile: bool = False,
 ) -> ScanCore:
     """Build the batched core of a task.
 
@@ -114,6 +115,7 @@ def make_core(
         patients: So many of the split, or their seeds; see `make_ward`.
         action: `discrete`, the thirteen steps, or `velocity`, a twist; see `task.motion`.
         robot: `free`, or the arm that carries the probe: `ur5e`, another's name, `module:ARM`.
+        compile: Compile steps that are seen by the pose; see `task.compiled`.
 
     Raises:
         RacinesError: any name that is unknown or any artefact that is not there.
@@ -148,7 +150,10 @@ def make_core(
     if backend == "generator":
         parts["the generator"] = trained_on(images)
     check_datasets(parts, data_version)
-    return ScanCore(
+    made = ScanCore
+    if compile:
+        from racines_envs.task.compiled import CompiledCore as made
+    return made(
         task, phantom, images, judge, observation, reward, rewards, num_envs, device, encoder,
         make_forces(forces, images, phantom, store, device), action, robot,
     )  # fmt: skip

@@ -14,6 +14,7 @@ from torch.optim.swa_utils import AveragedModel
 from racines_data.errors import RacinesError
 from racines_data.extras import needed
 from racines_data.store.frames import FrameStore
+from racines_models.devices import check_compiler
 from racines_models.protocol import Run
 from racines_models.training.checkpoint import Checkpoint
 from racines_models.training.log import Guard, TrainingLog
@@ -268,23 +269,6 @@ def resolve_precision(precision: str, device: str) -> str:
     return "bf16" if torch.cuda.is_bf16_supported() else "fp32"
 
 
-def check_compiler(device: str) -> None:
-    """Refuse to compile for a CPU where PyTorch finds no C++ compiler, before anything trains.
-
-    Raises:
-        RacinesError: there is none.
-    """
-    from torch._inductor.cpp_builder import get_cpp_compiler
-    from torch._inductor.exc import InvalidCxxCompiler
-
-    try:
-        if device == "cpu":
-            get_cpp_compiler()
-    except InvalidCxxCompiler as error:
-        remedy = "install one (g++), name it in CXX, or leave training.compile false"
-        raise RacinesError(f"training.compile: no C++ compiler was found: {remedy}") from error
-
-
 def _accelerator(config: Training, run: Run) -> "Accelerator":
     needed("accelerate", "training")
     from accelerate import Accelerator
@@ -297,7 +281,7 @@ def _accelerator(config: Training, run: Run) -> "Accelerator":
         torch.cuda.set_device(run.device)  # accelerate takes the current one
     mixed = "no" if precision == "fp32" else precision
     if config.compile:
-        check_compiler(run.device)
+        check_compiler(run.device, "training.compile")
     compiled = "inductor" if config.compile else "no"  # whatever accelerate's environment says
     try:
         return Accelerator(cpu=run.device == "cpu", mixed_precision=mixed, dynamo_backend=compiled)

@@ -18,8 +18,8 @@ from racines_models.statistics.intervals import difference
 RESULT = Path(__file__).parents[3] / "docs/results/patient-tasks.json"
 BOARDS = RESULT.parents[2] / "leaderboard/results"
 AGENTS = (
-    "random", "constant-pose", "blind-tour", "ppo", "ppo-belief", "servo", "servo-full",
-    "servo-memory", "servo-memory-full", "planner",
+    "random", "constant-pose", "blind-tour", "ppo", "behaviour-cloning", "ppo-belief", "servo",
+    "servo-full", "servo-memory", "servo-memory-full", "planner",
 )  # fmt: skip
 TIERS = {"patients": "still", "beating": "beating"}
 Found = dict[tuple[str, ...], dict[str, Any]]

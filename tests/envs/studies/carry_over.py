@@ -5,7 +5,7 @@ python -m tests.envs.studies.carry_over [AGENT …]
 Each, all if none is named, acts from the starts of the boards of patients as on its own heart,
 where nobody had to say that the view is found: so what it passes through stands beside what it
 finds and declares. Trainings are those that are published. What was measured is kept in
-`envs/runs/carry-over`, and the table is of all that is kept there.
+`envs/runs/carry-over`; the table is of all that is kept there, and of what it told before.
 """
 
 import json
@@ -32,6 +32,7 @@ AGENTS = {
     "ppo-multimodal": "SC",
     "ppo": "SC",
     "dqn": "SC",
+    "behaviour-cloning": "SC",
 }
 """Published policies, and the view that each was trained for."""
 TIERS = {"patients": "still", "beating": "beating"}
@@ -66,21 +67,30 @@ def percent(told: dict[str, Any]) -> str:
     return f"{value} % ({low} – {high})"
 
 
-def figures() -> dict[str, Any]:
-    """Return the table of what is kept: a row an agent, its own heart beside patients."""
-    rows, names, seconds, whole = [], [], 0.0, {}
+def figures(before: dict[str, Any]) -> dict[str, Any]:
+    """Return the table: a row an agent, its own heart beside patients.
+
+    Of what is not kept, a row stays as it was told before; so does its part of the figures.
+    """
+    told_before = {row[0]: row for row in before["tables"]["agents"]["rows"]}
+    rows, names = [], []
+    whole = {key: before["figures"][key] for key in (*SHARES[:2], "minutes")}
     for name, view in AGENTS.items():
         if not all(place(name, tier).is_file() for tier in TIERS):
+            if (row := told_before.get(f"`{name}`")) is not None:
+                names.append(name)
+                rows.append(row)
             continue
         record = json.loads((BOARDS / f"phantom-reference/agents/{name}.json").read_text())
-        own, cells = record["scores"]["metrics"]["success_true"], []
+        own, cells, seconds = record["scores"]["metrics"]["success_true"], [], 0.0
         for tier in TIERS:
             told = json.loads(place(name, tier).read_text())
             cells += [percent(told["success_declared"]), percent(told["reached"])]
             seconds += told["seconds"]
-            for key in ("success_declared", "reached"):
-                value = 100 * told[key]["value"]
-                whole[key] = round(max(value, whole.get(key, 0.0)), 1)
+            for key in SHARES[:2]:
+                whole[key] = max(whole[key], round(100 * told[key]["value"], 1))
+        if f"`{name}`" not in told_before:
+            whole["minutes"] += round(seconds / 60)
         sees = {"params": "pose", "multimodal": "both"}.get(told["sees"], told["sees"])
         names.append(name)
         rows.append([f"`{name}`", view, sees, str(told["trainings"]), percent(own), *cells])
@@ -93,7 +103,7 @@ def figures() -> dict[str, Any]:
         "machine": "one core of an AMD EPYC",
         "source": "measured once",
         "command": f"python -m tests.envs.studies.carry_over {' '.join(names)}",
-        "figures": {"minutes": round(seconds / 60), "patients": CONFIG.patients, **whole},
+        "figures": {"patients": CONFIG.patients, **whole},
         "tables": {"agents": {"columns": columns, "rows": rows}},
     }
 
@@ -104,4 +114,4 @@ if __name__ == "__main__":
             if not place(name, tier).is_file():
                 write_json(place(name, tier), act(name, tier))
                 print(place(name, tier), flush=True)
-    write_json(RESULT, figures())
+    write_json(RESULT, figures(json.loads(RESULT.read_text(encoding="utf-8"))))

@@ -1,0 +1,94 @@
+"""A core whose steps are compiled: three calls of compiled code in place of hundreds of small ones.
+
+A few dozen probes that are seen by their pose alone are so little work that calling the tensor
+library takes most of a step's time. Drawing and grading are work enough, and are not compiled.
+"""
+
+import warnings
+from collections.abc import Callable
+from types import FunctionType, MethodType
+from typing import Any
+
+import torch
+from torch import Tensor
+from torch._dynamo.exc import FailOnRecompileLimitHit, TorchDynamoException
+
+from racines_data.errors import RacinesError
+from racines_envs.task.core import ScanCore
+from racines_envs.task.rewards import Score
+from racines_envs.task.state import State, Transition
+from racines_models.devices import check_compiler
+
+
+class CompiledCore(ScanCore):
+    """A `ScanCore` for agents that see the pose, compiled for its number of rows.
+
+    The first step compiles, for a good part of a minute, or a few seconds where PyTorch still has
+    the code. Numbers differ from a `ScanCore`'s by the rounding of float32, and a row's last bits
+    may depend on its place among the rows: it is for training, and no score comes from it. Resets
+    are not compiled.
+    """
+
+    def __init__(self, *parts: Any, **settings: Any) -> None:
+        """Take what a `ScanCore` takes.
+
+        Raises:
+            RacinesError: it would draw or grade images, or no C++ compiler is found.
+        """
+        super().__init__(*parts, **settings)
+        if self.observation != "params" or self.reward.needs_judge:
+            raise RacinesError(
+                f"compile: observation {self.observation!r} with reward {self.reward.name!r} draws "
+                "images, which takes nearly all of a step's time: use observation='params' and a "
+                "reward without a grader, or leave compile out"
+            )
+        check_compiler(self.device.type, "compile")
+        self._moved = _compiled(super()._move)
+        self._looked = _compiled(super()._look)
+        self._told = _compiled(super().info)
+
+    def _begin(self, *how: Any) -> State:
+        # Counters that begin as one tensor would be compiled once more when they are two.
+        return State(*(value.clone() for value in vars(super()._begin(*how)).values()))
+
+    def _move(self, state: State, action: Tensor, live: Tensor) -> State:
+        return self._moved(state, action, live)
+
+    def _look(self, before: Score, live: Tensor, rows: Tensor | None = None) -> Transition:
+        if rows is not None:  # so many now, others next: each number would be compiled anew
+            return super()._look(before, live, rows)
+        return self._looked(before, live)
+
+    def info(self, view_error: bool = True) -> dict[str, Tensor]:
+        """As `ScanCore.info`; the search for the nearest pose of the view is not compiled."""
+        return super().info() if view_error else self._told(False)
+
+
+def _compiled(part: Any) -> Callable[..., Any]:
+    """Return a method of a core, compiled whole when it is first called."""
+    # PyTorch keeps a few versions of each function, for all objects: each core has its own copy.
+    function = part.__func__
+    code = (function.__code__.replace(), function.__globals__, function.__name__)
+    own = FunctionType(*code, function.__defaults__, function.__closure__)
+    quick = torch.compile(MethodType(own, part.__self__), dynamic=False, fullgraph=True)
+    ready = False
+
+    def call(*given: Any) -> Any:
+        nonlocal ready
+        if ready:
+            return quick(*given)
+        with warnings.catch_warnings():
+            # That it reads through caches: they hold what depends on settings alone.
+            warnings.filterwarnings("ignore", "Dynamo detected a call to a `functools.lru_cache`")
+            try:
+                told = quick(*given)
+            except (TorchDynamoException, FailOnRecompileLimitHit) as error:
+                lines = (line.strip() for line in str(error).splitlines())
+                raise RacinesError(
+                    "compile: PyTorch cannot compile the steps of this task "
+                    f"({next(filter(None, lines), type(error).__name__)}): leave compile out"
+                ) from error
+        ready = True
+        return told
+
+    return call

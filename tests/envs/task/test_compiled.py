@@ -1,0 +1,91 @@
+"""Compiled steps: those of the core, to a rounding; what they refuse."""
+
+import pytest
+import torch
+
+from racines_data.errors import RacinesError
+from racines_envs.worlds.making import make_core
+from tests.variants import first_of
+
+TASKS = ["SC", "AnyView-beating"]
+ROWS, STEPS = 6, 40
+CLOSE = 1e-4
+"""How far numbers may lie from each other, rewards and newtons too."""
+
+
+@pytest.fixture
+def traced(monkeypatch):
+    """Compile by tracing alone: the same graphs, run as they are, in a fraction of the time."""
+    compile = torch.compile
+    monkeypatch.setattr(torch, "compile", lambda f, **k: compile(f, **k, backend="eager"))
+
+
+def assert_alike(view: str, **settings) -> None:
+    how = {"observation": "params", "reward": "shaped"} | settings
+    cores = [make_core(view, ROWS, **how, compile=each) for each in (False, True)]
+    for core in cores:
+        core.reset(seed=3)
+    draw = torch.Generator().manual_seed(0)
+    for step in range(STEPS):
+        action = torch.randint(0, 13, (ROWS,), generator=draw)
+        plain, quick = (core.step(action, autoreset=True) for core in cores)
+        assert torch.equal(plain.terminated, quick.terminated), step
+        assert torch.equal(plain.truncated, quick.truncated), step
+        pairs = [(plain.reward, quick.reward)]
+        pairs += [(plain.observation[key], quick.observation[key]) for key in plain.observation]
+        told, other = (core.info(False) for core in cores)
+        assert list(told) == list(other)
+        pairs += [(told[key], other[key]) for key in told]
+        for one, two in pairs:
+            torch.testing.assert_close(one, two, atol=CLOSE, rtol=0, equal_nan=True)
+
+
+@pytest.mark.parametrize("view", first_of(TASKS))
+def test_steps_are_those_of_the_core(traced, view):
+    assert_alike(view, termination="declared" if view != "SC" else "k_hits")
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("view", TASKS)
+def test_compiled_code_gives_the_steps_of_the_core(view):
+    assert_alike(view)
+
+
+def test_rows_that_are_reset_alone_go_on_as_the_cores(traced):
+    cores = [
+        make_core("SC", 3, observation="params", reward="oracle", compile=each)
+        for each in (False, True)
+    ]
+    mask, action = torch.tensor([False, True, False]), torch.tensor([0, 4, 9])
+    for core in cores:
+        core.reset(seed=1)
+        core.step(action)
+        core.reset(mask=mask)
+    plain, quick = (core.step(action, rows=torch.tensor([1])).observation for core in cores)
+    torch.testing.assert_close(plain["params"], quick["params"], atol=CLOSE, rtol=0)
+    assert cores[1].state.steps.tolist() == [1, 1, 1]
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"observation": "image", "reward": "oracle"}, "draws images.*leave compile out"),
+        ({"observation": "params", "robot": "ur5e"}, "cannot compile the steps of this task"),
+    ],
+)
+def test_what_is_not_compiled_is_refused(traced, settings, message):
+    with pytest.raises(RacinesError, match=message):
+        core = make_core("SC", 2, **{"reward": "shaped", **settings}, compile=True)
+        core.reset(seed=0)
+        core.step(torch.zeros(2, dtype=torch.long))
+
+
+def test_without_a_compiler_it_says_so_at_once(monkeypatch):
+    from torch._inductor import cpp_builder, exc
+
+    def missing(*_):
+        raise exc.InvalidCxxCompiler()
+
+    monkeypatch.setattr(cpp_builder, "get_cpp_compiler", missing)
+    with pytest.raises(RacinesError, match="compile: no C\\+\\+ compiler was found"):
+        make_core("SC", 2, observation="params", reward="shaped", compile=True)
