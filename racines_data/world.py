@@ -50,7 +50,7 @@ class Workspace:
 
 
 @lru_cache(maxsize=64)
-@torch.compiler.assume_constant_result
+@torch.compiler.assume_constant_result  # pyright: ignore[reportUnknownMemberType]
 def _cosine(angle: float) -> float:
     """Return a cosine as float32 has it."""
     return torch.cos(torch.tensor(angle)).item()

@@ -14,6 +14,7 @@ from torch import Tensor
 from torch._dynamo.exc import FailOnRecompileLimitHit, TorchDynamoException
 
 from racines_data.errors import RacinesError
+from racines_data.geometry import Pose
 from racines_envs.task.core import ScanCore
 from racines_envs.task.rewards import Score
 from racines_envs.task.state import State, Transition
@@ -47,9 +48,10 @@ class CompiledCore(ScanCore):
         self._looked = _compiled(super()._look)
         self._told = _compiled(super().info)
 
-    def _begin(self, *how: Any) -> State:
+    def _begin(self, rows: Tensor, pose: Pose | None = None, case: Tensor | None = None) -> State:
         # Counters that begin as one tensor would be compiled once more when they are two.
-        return State(*(value.clone() for value in vars(super()._begin(*how)).values()))
+        begun = super()._begin(rows, pose, case)
+        return State(*(value.clone() for value in vars(begun).values()))
 
     def _move(self, state: State, action: Tensor, live: Tensor) -> State:
         return self._moved(state, action, live)
