@@ -44,14 +44,13 @@ class Workspace:
     def contains(self, pose: Pose) -> Tensor:
         """Return (B,) bool."""
         inside = (pose.position >= self.position_min) & (pose.position <= self.position_max)
-        upright = -pose.rotation[:, 2, 2] >= _cosine(self.tilt_max)
+        upright = -pose.rotation[:, 2, 2] >= cosine(self.tilt_max)
         yaw = torch.atan2(pose.rotation[:, 1, 0], pose.rotation[:, 0, 0]).abs() <= self.yaw_max
         return inside.all(-1) & upright & yaw
 
 
 @lru_cache(maxsize=64)
-@torch.compiler.assume_constant_result  # pyright: ignore[reportUnknownMemberType]
-def _cosine(angle: float) -> float:
+def cosine(angle: float) -> float:
     """Return a cosine as float32 has it."""
     return torch.cos(torch.tensor(angle)).item()
 

@@ -15,10 +15,15 @@ from torch._dynamo.exc import FailOnRecompileLimitHit, TorchDynamoException
 
 from racines_data.errors import RacinesError
 from racines_data.geometry import Pose
+from racines_data.world import cosine
 from racines_envs.task.core import ScanCore
 from racines_envs.task.rewards import Score
 from racines_envs.task.state import State, Transition
 from racines_models.devices import check_compiler
+
+# It reads a tensor, which would end the compiled code. Said here and not beside it: to import what
+# says it takes a second.
+torch._dynamo.assume_constant_result(cosine.__wrapped__)
 
 
 class CompiledCore(ScanCore):
