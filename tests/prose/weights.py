@@ -44,7 +44,7 @@ GROUPS = {
     "envs/weights/beating/ppo-*": "the same on beating hearts",
     "envs/weights/patients/behaviour-cloning-*": "policy that imitates sweeps of patients, three "
     "trainings",
-    "envs/weights/beating/behaviour-cloning-*": "the same for beating hearts",
+    "envs/weights/beating/behaviour-cloning-*": "the same three policies, set to beating hearts",
     "envs/weights/ppo-belief": "policy on patients that sees through the servo, three trainings",
     "envs/weights/constant-pose": "floor on patients: a pose for each view",
     "envs/weights/blind-tour": "floor on patients: poses for each view",
