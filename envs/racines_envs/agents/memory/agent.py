@@ -11,9 +11,18 @@ from racines_data.files import write_json
 from racines_data.geometry import Pose, axis_angle_to_matrix, matmul3, orthonormalise, rotate
 from racines_data.views import VIEWS
 from racines_envs.agents.memory.eyes import eyes_like, eyes_of
-from racines_envs.agents.memory.lead import Lead, best_of, either
+from racines_envs.agents.memory.lead import (
+    BELIEVED,
+    CHECK,
+    SETTLED,
+    Lead,
+    Legs,
+    best_of,
+    better_than_here,
+    either,
+)
 from racines_envs.agents.memory.learner import MemoryConfig
-from racines_envs.agents.memory.notes import Notes, lies, pose_at
+from racines_envs.agents.memory.notes import LONGEST, Notes, lies, pose_at
 from racines_envs.agents.memory.rounds import discard, learn
 from racines_envs.agents.protocol import SETTINGS
 from racines_envs.agents.servo.agent import POLICY, ServoAgent
@@ -50,6 +59,7 @@ class ServoMemoryAgent(ServoAgent):
         """Take the steps and the workspace of an environment, and learn which view is asked for."""
         super().attach(core)
         self.notes = Notes.new(core.num_envs, self._device)
+        self._legs = Legs.planned(self.config.looks, self.config.checks, core.device)
         self._lead: Lead | None = None
 
     def begun(self, read: Belief) -> Mind:
@@ -78,6 +88,7 @@ class ServoMemoryAgent(ServoAgent):
         where = [lies(at, labels) for at in (pose, found.pose)]
         self._token = torch.cat([*where, said[:, 6:], seen[:, said_by_all:]], 1)
         score, grade = said[:, 12:].sigmoid().unbind(1)
+        found = found.bounded(labels) if self.config.bounded else found
         return found, score + grade - 1.0
 
     def goals(self, mind: Mind, pose: Pose, labels: Tensor) -> tuple[Pose, Pose]:
@@ -87,13 +98,13 @@ class ServoMemoryAgent(ServoAgent):
         searched = super().goals(mind, pose, labels)
         if self.recall is None:
             return searched
-        lead = self._lead = self._lead or Lead.new(pose)
+        lead = self._lead = self._lead or Lead.new(pose, self._legs)
         rows = lead.begin(mind, same)
         chosen = rows.nonzero().squeeze(1)
         if len(chosen):
-            self._look_back(lead, chosen, labels)
+            self._look_back(lead, chosen, labels, mind.steps)
         after = self._about(lead.centre, lead.waypoint(1))
-        then = either(lead.looks, after, lead.aim)
+        then = either(lead.looks_on, after, lead.aim)
         led = [either(lead.leads, *pair) for pair in zip((lead.aim, then), searched, strict=True)]
         return led[0], led[1]
 
@@ -108,25 +119,30 @@ class ServoMemoryAgent(ServoAgent):
         if self._lead is not None:
             self._lead.due = reached
 
-    def _look_back(self, lead: Lead, rows: Tensor, labels: Tensor) -> None:
+    def _look_back(self, lead: Lead, rows: Tensor, labels: Tensor, steps: Tensor) -> None:
         """Lead (M,) of the rows to where all that they have seen says that the view is."""
         notes, asked, network = self.notes, labels[rows], self.recall
         assert network is not None
-        tokens = notes.tokens[rows]
-        centre, hits = in_fixed_batches(
+        tokens, kind = notes.tokens[rows], lead.kind[rows].unsqueeze(1)
+        believed, hits = in_fixed_batches(
             lambda *part: network.recall(*part), tokens, notes.seen[rows], asked
         )
-        best = best_of(tokens[..., :6], hits)
+        where, last = tokens[..., :6], steps[rows].clamp_max(LONGEST - 1)
+        passed, better = better_than_here(where, hits, last)
+        goes = (kind == CHECK) & (better & (steps[rows] < SETTLED)).unsqueeze(1)
+        best = torch.where(goes, passed, best_of(where, hits))
+        centre = torch.where(kind == BELIEVED, believed, best)
         place = torch.zeros_like(labels).index_copy(0, rows, torch.ones_like(rows)).bool()
+        stays = torch.zeros_like(place).index_copy(0, rows, ((kind == CHECK) & ~goes).squeeze(1))
 
         def spread(lying: Tensor, old: Pose) -> Pose:
             new = pose_at(lying, asked)
             parts = (b.index_copy(0, rows, a) for a, b in zip(new, old, strict=True))
-            return either(place, Pose(*parts), old)
+            return either(place & ~stays, Pose(*parts), old)
 
         lead.centre = spread(centre, lead.centre)
         about = self._about(lead.centre, lead.waypoint(0))
-        lead.aim = either(place, either(lead.looks, about, spread(best, lead.aim)), lead.aim)
+        lead.aim = either(lead.looks & place, about, spread(best, lead.aim))
 
     def _about(self, centre: Pose, waypoint: Tensor) -> Pose:
         """Return the (N,) waypoints about (N,) poses."""

@@ -7,6 +7,7 @@ moments. So it asks once more which is the best before it rests.
 """
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -17,10 +18,20 @@ from racines_envs.agents.servo.mind import Mind
 ABOUT = (0, 1, 3)
 """Of the servo's waypoints those from which it looks about where the view is believed: the place
 itself, a pose beside it, and its opposite."""
+BESIDE = (1, 2, 3, 4)
+"""Those from which it may look about the best pose passed."""
 CHOICES = 2
-"""Times that it chooses among the poses passed."""
-LAST = 165
-"""Steps after which it looks no further and chooses."""
+"""Times that it chooses among the poses passed, and goes to the one chosen."""
+LAST, LATEST = 165, 178
+"""Steps after which it looks no further about where the view is believed, and about the best."""
+SETTLED = 190
+"""Steps after which it stays where it is."""
+BETTER = 0.02
+"""By so much a pose passed has to be the likelier to show the view than the one where it rests."""
+
+BELIEVED, BEST, CHOICE, CHECK = range(4)
+"""What a leg leads to: a pose about where the view is believed, or about the best pose passed; amid
+the best; or to that best itself, if where it rests shows the view less likely."""
 
 SHARP = 4
 """Power of a pose's chance by which it counts among the best."""
@@ -28,10 +39,37 @@ WIDTH = 0.75
 """In `LIES`, how far about the best pose others count: 15 mm and 9 degrees."""
 
 
+class Legs(NamedTuple):
+    """What the L legs lead to, one after the other."""
+
+    kinds: Tensor
+    """(L,) int64, `BELIEVED`, …"""
+    waypoints: Tensor
+    """(L,) int64 of the servo's waypoints; 0 where none is meant."""
+    choices: Tensor
+    """(L,) int64, how many legs come before the next choice, this one counted."""
+
+    @classmethod
+    def planned(cls, looks: int, checks: int, device: torch.device) -> "Legs":
+        """Return the legs with so many looks about the best, and checks of where it rests."""
+        about = [(BELIEVED, each) for each in ABOUT]
+        beside = [(BEST, each) for each in BESIDE[:looks]]
+        begun = [(CHOICE, 0)] if beside else []
+        legs = [*about, *begun, *beside, *[(CHOICE, 0)] * (CHOICES + 1), *[(CHECK, 0)] * checks]
+        chooses = [number for number, (kind, _) in enumerate(legs, 1) if kind == CHOICE]
+        after = [
+            min((each for each in chooses if each > number), default=len(legs))
+            for number in range(1, len(legs) + 1)
+        ]
+        kinds, waypoints = zip(*legs, strict=True)
+        return cls(*(torch.tensor(each, device=device) for each in (kinds, waypoints, after)))
+
+
 @dataclass
 class Lead:
     """Of N rows."""
 
+    legs: Legs
     leg: Tensor
     """(N,) int64: 0 while the servo searches, then the number of the leg that a row is on."""
     due: Tensor
@@ -39,13 +77,13 @@ class Lead:
     aim: Pose
     """(N,) where the leg leads."""
     centre: Pose
-    """(N,) where the view was believed when the leg began."""
+    """(N,) about where a row looks, if it does."""
 
     @classmethod
-    def new(cls, pose: Pose) -> "Lead":
+    def new(cls, pose: Pose, legs: Legs) -> "Lead":
         """Begin episodes at (N,) poses."""
         none = torch.zeros(len(pose.position), dtype=torch.int64, device=pose.position.device)
-        return cls(none, none.bool(), pose, pose)
+        return cls(legs, none, none.bool(), pose, pose)
 
     @property
     def leads(self) -> Tensor:
@@ -53,22 +91,36 @@ class Lead:
         return self.leg > 0
 
     @property
+    def kind(self) -> Tensor:
+        """Return the (N,) kinds of the legs that rows are on, -1 while they search."""
+        return torch.where(self.leads, self.legs.kinds[self._place(0)], -1)
+
+    @property
     def looks(self) -> Tensor:
-        """Return (N,) bool: who looks about where the view is believed."""
-        return self.leads & (self.leg <= len(ABOUT))
+        """Return (N,) bool: who looks about a place."""
+        return (self.kind == BELIEVED) | (self.kind == BEST)
+
+    @property
+    def looks_on(self) -> Tensor:
+        """Return (N,) bool: who looks about a place, and will after this leg."""
+        return self.looks & (self.legs.kinds[self._place(1)] == self.kind)
 
     def waypoint(self, further: int) -> Tensor:
         """Return the (N,) waypoint of the leg so much further, the last where there is none."""
-        place = (self.leg - 1 + further).clamp(0, len(ABOUT) - 1)
-        return torch.tensor(ABOUT, device=place.device)[place]
+        return self.legs.waypoints[self._place(further)]
+
+    def _place(self, further: int) -> Tensor:
+        return (self.leg - 1 + further).clamp(0, len(self.legs.kinds) - 1)
 
     def begin(self, mind: Mind, same: Tensor) -> Tensor:
         """Return the (N,) bool rows that begin a leg; those not the same episodes search."""
         self.leg = torch.where(same, self.leg, 0)
-        late = self.looks & (mind.steps >= LAST)
-        rests = self.leg > len(ABOUT) + CHOICES
+        late = (self.kind == BELIEVED) & (mind.steps >= LAST)
+        late = late | (self.kind == BEST) & (mind.steps >= LATEST)
+        rests = self.leg >= len(self.legs.kinds)
         over = torch.where(self.leads, self.due & ~rests, mind.windows.chosen) & same
-        self.leg = torch.where(late, len(ABOUT) + 1, self.leg + over.long())
+        following = self.leg + over.long()
+        self.leg = torch.where(late, self.legs.choices[self._place(0)], following)
         return over | late
 
 
@@ -92,3 +144,16 @@ def either(rows: Tensor, one: Pose, other: Pose) -> Pose:
     """Return one's poses in the (N,) bool rows, the other's in the rest."""
     rotations = torch.where(rows[:, None, None], one.rotation, other.rotation)
     return Pose(torch.where(rows[:, None], one.position, other.position), rotations)
+
+
+def better_than_here(where: Tensor, hits: Tensor, last: Tensor) -> tuple[Tensor, Tensor]:
+    """Return the (N, 6) best of the poses passed, and (N,) bool where it is better than the last.
+
+    Args:
+        where: as of `best_of`, as are the hits.
+        hits: of all poses passed.
+        last: (N,) int64 number of the pose where a row is.
+    """
+    row = torch.arange(len(hits), device=hits.device)
+    chance, best = hits.sigmoid().max(1)
+    return where[row, best], chance > hits[row, last].sigmoid() + BETTER
