@@ -10,19 +10,36 @@ import pytest
 import torch
 
 from racines_data.errors import RacinesError
-from racines_data.geometry import geodesic
+from racines_data.geometry import (
+    Pose,
+    axis_angle_to_matrix,
+    geodesic,
+    matmul3,
+    orthonormalise,
+    rotation_vector,
+)
 from racines_data.views import VIEWS
 from racines_envs.agents.memory import agent as module
 from racines_envs.agents.memory import episodes, rounds
 from racines_envs.agents.memory.agent import CHOOSE, ServoMemoryAgent
 from racines_envs.agents.memory.episodes import EpisodeConfig, Episodes, act_on
 from racines_envs.agents.memory.eyes import eyes_like, eyes_of
-from racines_envs.agents.memory.lead import ABOUT, CHOICES, best_of
+from racines_envs.agents.memory.lead import (
+    ABOUT,
+    BELIEVED,
+    BEST,
+    CHOICE,
+    CHOICES,
+    Legs,
+    best_of,
+)
 from racines_envs.agents.memory.learner import MemoryConfig, MemoryLearner
 from racines_envs.agents.memory.notes import LONGEST, Notes, lies, pose_at
 from racines_envs.agents.rollout import rollout
 from racines_envs.agents.servo.agent import ServoAgent
+from racines_envs.agents.servo.belief import BOUNDS, Belief
 from racines_envs.agents.servo.learner import ServoConfig
+from racines_envs.task.tiers import middles
 from racines_envs.worlds.making import make_core
 from racines_models.networks.batching import in_fixed_batches
 from racines_models.networks.recall import FEATURES, LIES, TOKEN, RecallNetwork
@@ -122,6 +139,32 @@ def test_the_best_is_amid_those_that_show_the_view():
     found = best_of(where, hits)
     assert float(found[0, 0]) == pytest.approx(0.1, abs=0.01), "neither the edge nor another space"
     assert torch.equal(best_of(where, torch.full((1, 5), -torch.inf))[0], torch.zeros(6))
+
+
+def test_legs_as_they_are_planned():
+    device = torch.device("cpu")
+    plain, whole = Legs.planned(0, device), Legs.planned(2, device)
+    assert plain.kinds.tolist() == [BELIEVED] * 3 + [CHOICE] * 3
+    assert plain.choices.tolist() == [4, 4, 4, 5, 6, 6]
+    assert whole.kinds.tolist() == [BELIEVED] * 3 + [CHOICE, BEST, BEST] + [CHOICE] * 3
+    assert whole.waypoints.tolist() == [*ABOUT, 0, 1, 2, 0, 0, 0]
+    assert whole.choices.tolist() == [4, 4, 4, 7, 7, 7, 8, 9, 9]
+
+
+def test_what_is_believed_stays_where_views_can_lie():
+    """An image that leads on and on turns no probe about."""
+    labels = torch.arange(4)
+    about, none = middles(labels), torch.zeros(4, 3, 3)
+    away = torch.tensor([[0.05, -0.05, 0.0], [0.3, -0.02, 0.0], [0.0, 0.0, 0.04], [0.0] * 3])
+    turn = torch.tensor([[0.1, -0.2, 0.3], [0.0] * 3, [0.0] * 3, [0.0, 0.0, -2.3]])
+    rotation = orthonormalise(matmul3(axis_angle_to_matrix(turn), about.rotation))
+    found = Belief(Pose(about.position + away, rotation), none, none).bounded(labels).pose
+    lain = found.position - about.position
+    turned = rotation_vector(matmul3(found.rotation, about.rotation.transpose(1, 2).contiguous()))
+    limits = [torch.tensor(each) for each in BOUNDS]
+    assert torch.allclose(lain, away.clamp(-limits[0], limits[0]), atol=1e-6)
+    assert torch.allclose(turned, turn.clamp(-limits[1], limits[1]), atol=1e-5)
+    assert torch.allclose(lain[0], away[0], atol=1e-6) and float(turned[3, 2]) > -0.51
 
 
 def save(folder: Path, seed: int, drawn: int | None = None) -> None:
@@ -356,8 +399,33 @@ def test_it_goes_where_its_memory_leads_and_rests_at_the_best(
     assert final["steps"].max() + CHOOSE - SOON < core.task.max_steps
 
 
-def test_a_row_does_not_depend_on_its_batch(still, servo: Path, short_search: None):
-    agent = ServoMemoryAgent(MemoryConfig(), eyes_of(str(servo), 0, "cpu").network, network())
+def test_it_looks_about_the_best_and_chooses_again(still, servo: Path, short_search: None):
+    """Where a memory puts the view wrongly and knows it when it sees it, more looks find more."""
+
+    class Misled(Knows):
+        def recall(self, tokens, seen, labels):
+            centre, hits = super().recall(tokens, seen, labels)
+            return centre + torch.tensor([0.0, 0.4, 0.0, 0.0, 0.0, 0.0]), hits
+
+    eyes, seeds, passed = eyes_of(str(servo), 0, "cpu").network, torch.arange(6), []
+    for looks in (0, 4):
+        core = make_core("AnyView-patients", 6, observation="multimodal", phantom=still)
+        knows = Misled(core)
+        agent = ServoMemoryAgent(MemoryConfig(looks=looks), eyes, knows)
+        core.reset(seeds)
+        knows.first = lies(core.state.pose, core.state.goal)
+        final = rollout(core, agent, seeds).final
+        assert final["declared"].all()
+        passed.append((final["position_error"].mean(), final["steps"].mean()))
+    assert passed[1][0] < 0.85 * passed[0][0] and passed[1][1] > passed[0][1] + 5
+
+
+@pytest.mark.parametrize("further", first_of([{"bounded": True, "looks": 4}, {}]))
+def test_a_row_does_not_depend_on_its_batch(
+    still, servo: Path, short_search: None, further: dict[str, Any]
+):
+    config = MemoryConfig(**further)
+    agent = ServoMemoryAgent(config, eyes_of(str(servo), 0, "cpu").network, network())
     seeds = torch.arange(3)
     case = seeds % len(still.pool)
     many = make_core("AnyView-patients", 3, observation="multimodal", phantom=still)
@@ -389,6 +457,8 @@ def test_what_does_not_fit_is_refused(tiny: MemoryConfig, servo: Path, tmp_path:
     save(servo, 0, drawn=5)  # another servo in the place of the one it saw through
     with pytest.raises(RacinesError, match="sees through a servo whose weights have the sha256"):
         ServoMemoryAgent.load(tmp_path / "made")
+    with pytest.raises(RacinesError, match="looks 5: 0 to 4"):
+        MemoryConfig(looks=5)
     with pytest.raises(RacinesError, match="there are 9999 and 1000"):
         MemoryConfig(first=9_990)
     with pytest.raises(RacinesError, match="1 or more"):

@@ -13,16 +13,13 @@ from racines_data.views import VIEWS
 from racines_envs.agents.memory.eyes import eyes_like, eyes_of
 from racines_envs.agents.memory.lead import (
     BELIEVED,
-    CHECK,
-    SETTLED,
     Lead,
     Legs,
     best_of,
-    better_than_here,
     either,
 )
 from racines_envs.agents.memory.learner import MemoryConfig
-from racines_envs.agents.memory.notes import LONGEST, Notes, lies, pose_at
+from racines_envs.agents.memory.notes import Notes, lies, pose_at
 from racines_envs.agents.memory.rounds import discard, learn
 from racines_envs.agents.protocol import SETTINGS
 from racines_envs.agents.servo.agent import POLICY, ServoAgent
@@ -59,7 +56,7 @@ class ServoMemoryAgent(ServoAgent):
         """Take the steps and the workspace of an environment, and learn which view is asked for."""
         super().attach(core)
         self.notes = Notes.new(core.num_envs, self._device)
-        self._legs = Legs.planned(self.config.looks, self.config.checks, core.device)
+        self._legs = Legs.planned(self.config.looks, core.device)
         self._lead: Lead | None = None
 
     def begun(self, read: Belief) -> Mind:
@@ -102,7 +99,7 @@ class ServoMemoryAgent(ServoAgent):
         rows = lead.begin(mind, same)
         chosen = rows.nonzero().squeeze(1)
         if len(chosen):
-            self._look_back(lead, chosen, labels, mind.steps)
+            self._look_back(lead, chosen, labels)
         after = self._about(lead.centre, lead.waypoint(1))
         then = either(lead.looks_on, after, lead.aim)
         led = [either(lead.leads, *pair) for pair in zip((lead.aim, then), searched, strict=True)]
@@ -119,7 +116,7 @@ class ServoMemoryAgent(ServoAgent):
         if self._lead is not None:
             self._lead.due = reached
 
-    def _look_back(self, lead: Lead, rows: Tensor, labels: Tensor, steps: Tensor) -> None:
+    def _look_back(self, lead: Lead, rows: Tensor, labels: Tensor) -> None:
         """Lead (M,) of the rows to where all that they have seen says that the view is."""
         notes, asked, network = self.notes, labels[rows], self.recall
         assert network is not None
@@ -127,18 +124,14 @@ class ServoMemoryAgent(ServoAgent):
         believed, hits = in_fixed_batches(
             lambda *part: network.recall(*part), tokens, notes.seen[rows], asked
         )
-        where, last = tokens[..., :6], steps[rows].clamp_max(LONGEST - 1)
-        passed, better = better_than_here(where, hits, last)
-        goes = (kind == CHECK) & (better & (steps[rows] < SETTLED)).unsqueeze(1)
-        best = torch.where(goes, passed, best_of(where, hits))
+        best = best_of(tokens[..., :6], hits)
         centre = torch.where(kind == BELIEVED, believed, best)
         place = torch.zeros_like(labels).index_copy(0, rows, torch.ones_like(rows)).bool()
-        stays = torch.zeros_like(place).index_copy(0, rows, ((kind == CHECK) & ~goes).squeeze(1))
 
         def spread(lying: Tensor, old: Pose) -> Pose:
             new = pose_at(lying, asked)
             parts = (b.index_copy(0, rows, a) for a, b in zip(new, old, strict=True))
-            return either(place & ~stays, Pose(*parts), old)
+            return either(place, Pose(*parts), old)
 
         lead.centre = spread(centre, lead.centre)
         about = self._about(lead.centre, lead.waypoint(0))

@@ -1,6 +1,7 @@
 """Where a servo with a memory goes once its search is over, leg by leg.
 
     the view, as all images tell it ─ poses about it ─> the best of all passed ─> again ─> rest
+                                                     └ poses about it, if set ┘
 
 On the way to the best pose, and there, it sees more: on a beating heart the same pose at other
 moments. So it asks once more which is the best before it rests.
@@ -24,14 +25,10 @@ CHOICES = 2
 """Times that it chooses among the poses passed, and goes to the one chosen."""
 LAST, LATEST = 165, 178
 """Steps after which it looks no further about where the view is believed, and about the best."""
-SETTLED = 190
-"""Steps after which it stays where it is."""
-BETTER = 0.02
-"""By so much a pose passed has to be the likelier to show the view than the one where it rests."""
 
-BELIEVED, BEST, CHOICE, CHECK = range(4)
-"""What a leg leads to: a pose about where the view is believed, or about the best pose passed; amid
-the best; or to that best itself, if where it rests shows the view less likely."""
+BELIEVED, BEST, CHOICE = range(3)
+"""What a leg leads to: a pose about where the view is believed, or about the best poses passed; or
+amid these."""
 
 SHARP = 4
 """Power of a pose's chance by which it counts among the best."""
@@ -47,15 +44,15 @@ class Legs(NamedTuple):
     waypoints: Tensor
     """(L,) int64 of the servo's waypoints; 0 where none is meant."""
     choices: Tensor
-    """(L,) int64, how many legs come before the next choice, this one counted."""
+    """(L,) int64, the number of the next leg that is a choice."""
 
     @classmethod
-    def planned(cls, looks: int, checks: int, device: torch.device) -> "Legs":
-        """Return the legs with so many looks about the best, and checks of where it rests."""
+    def planned(cls, looks: int, device: torch.device) -> "Legs":
+        """Return the legs with so many looks about the best, before it chooses again."""
         about = [(BELIEVED, each) for each in ABOUT]
         beside = [(BEST, each) for each in BESIDE[:looks]]
         begun = [(CHOICE, 0)] if beside else []
-        legs = [*about, *begun, *beside, *[(CHOICE, 0)] * (CHOICES + 1), *[(CHECK, 0)] * checks]
+        legs = [*about, *begun, *beside, *[(CHOICE, 0)] * (CHOICES + 1)]
         chooses = [number for number, (kind, _) in enumerate(legs, 1) if kind == CHOICE]
         after = [
             min((each for each in chooses if each > number), default=len(legs))
@@ -144,16 +141,3 @@ def either(rows: Tensor, one: Pose, other: Pose) -> Pose:
     """Return one's poses in the (N,) bool rows, the other's in the rest."""
     rotations = torch.where(rows[:, None, None], one.rotation, other.rotation)
     return Pose(torch.where(rows[:, None], one.position, other.position), rotations)
-
-
-def better_than_here(where: Tensor, hits: Tensor, last: Tensor) -> tuple[Tensor, Tensor]:
-    """Return the (N, 6) best of the poses passed, and (N,) bool where it is better than the last.
-
-    Args:
-        where: as of `best_of`, as are the hits.
-        hits: of all poses passed.
-        last: (N,) int64 number of the pose where a row is.
-    """
-    row = torch.arange(len(hits), device=hits.device)
-    chance, best = hits.sigmoid().max(1)
-    return where[row, best], chance > hits[row, last].sigmoid() + BETTER

@@ -57,9 +57,6 @@ class MemoryConfig:
     """Whether a reading is believed only as far as the edge of where train patients' views lie."""
     looks: int = 0
     """Poses, 0 to 4, from which it looks about the best of all passed, before it chooses again."""
-    checks: int = 0
-    """Times that it leaves where it rests for the pose passed that shows the view likeliest, if
-    that is the likelier."""
     episodes: int = 16_000
     """Episodes learned from, with repetition."""
     round_episodes: int = 8_000
@@ -82,11 +79,8 @@ class MemoryConfig:
     device: str = "cpu"
 
     def __post_init__(self) -> None:
-        if not 0 <= self.looks <= len(BESIDE) or self.checks < 0:
-            raise RacinesError(
-                f"agents.servo-memory: looks {self.looks} and checks {self.checks}: "
-                f"looks are 0 to {len(BESIDE)}, checks 0 or more"
-            )
+        if not 0 <= self.looks <= len(BESIDE):
+            raise RacinesError(f"agents.servo-memory: looks {self.looks}: 0 to {len(BESIDE)}")
         needed = self.first + self.patients + self.rounds * self.round_patients
         known = len(seeds_of("train")), len(seeds_of("validation"))
         if min(self.patients, self.round_patients, self.validation_patients, self.processes) < 1:
