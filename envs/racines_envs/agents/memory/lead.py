@@ -1,10 +1,10 @@
 """Where a servo with a memory goes once its search is over, leg by leg.
 
     the view, as all images tell it ─ poses about it ─> the best of all passed ─> again ─> rest
-                                                     └ poses about it, if set ┘
 
 On the way to the best pose, and there, it sees more: on a beating heart the same pose at other
-moments. So it asks once more which is the best before it rests.
+moments. So it asks once more which is the best before it rests. It may look about the best pose as
+well, before it asks (`looks`).
 """
 
 from dataclasses import dataclass
