@@ -1,4 +1,4 @@
-"""A core whose steps are compiled: three calls of compiled code in place of hundreds of small ones.
+"""A core whose steps are compiled: one call of compiled code in place of hundreds of small ones.
 
 A few dozen probes that are seen by their pose alone are so little work that calling the tensor
 library takes most of a step's time. Drawing and grading are work enough, and are not compiled.
@@ -14,7 +14,6 @@ from torch import Tensor
 from torch._dynamo.exc import FailOnRecompileLimitHit, TorchDynamoException
 
 from racines_data.errors import RacinesError
-from racines_data.geometry import Pose
 from racines_data.world import cosine
 from racines_envs.task.core import ScanCore
 from racines_envs.task.rewards import Score
@@ -49,26 +48,52 @@ class CompiledCore(ScanCore):
                 "reward without a grader, or leave compile out"
             )
         check_compiler(self.device.type, "compile")
-        self._moved = _compiled(super()._move)
-        self._looked = _compiled(super()._look)
-        self._told = _compiled(super().info)
+        self._stepped = _compiled(self._whole)
+        self._spare: State | None = None
+        self._last: tuple[State, dict[str, Tensor]] | None = None
 
-    def _begin(self, rows: Tensor, pose: Pose | None = None, case: Tensor | None = None) -> State:
-        # Counters that begin as one tensor would be compiled once more when they are two.
-        begun = super()._begin(rows, pose, case)
-        return State(*(value.clone() for value in vars(begun).values()))
+    def step(
+        self, action: Tensor, autoreset: bool = False, rows: Tensor | None = None,
+        strict: bool = False,
+    ) -> Transition:  # fmt: skip
+        """As `ScanCore.step`; where only some rows move, it is not compiled."""
+        # So many rows now, others next: each number would be compiled anew.
+        refused = not self._sensed or (strict and bool(self.state.done.any()))
+        if rows is not None or refused:
+            return super().step(action, autoreset, rows, strict)
+        state, before, begins = self.state, self.score, torch.zeros_like(self.state.done)
+        # One state given as two would be compiled once more when they are two.
+        fresh = self._spare = self._spare or _apart(state)
+        if autoreset and len(ended := state.done.nonzero().squeeze(1)):
+            fresh, begins = fresh.replaced(ended, self._begin(ended)), state.done.clone()
+        taken = self.motion.check(action, self.num_envs)
+        given, told = self._stepped(state, fresh, begins, taken, before)
+        self._last = self.state, told
+        return given
 
-    def _move(self, state: State, action: Tensor, live: Tensor) -> State:
-        return self._moved(state, action, live)
-
-    def _look(self, before: Score, live: Tensor, rows: Tensor | None = None) -> Transition:
-        if rows is not None:  # so many now, others next: each number would be compiled anew
-            return super()._look(before, live, rows)
-        return self._looked(before, live)
+    def _whole(
+        self, state: State, fresh: State, begins: Tensor, action: Tensor, before: Score
+    ) -> tuple[Transition, dict[str, Tensor]]:
+        """Move the live rows, begin (N,) bool others, look, and say what agents are not told."""
+        live = ~state.done
+        moved, new = (vars(each) for each in (ScanCore._move(self, state, action, live), fresh))
+        self.state = State(
+            *(
+                torch.where(begins.view(-1, *[1] * (old.dim() - 1)), new[name], old)
+                for name, old in moved.items()
+            )
+        )
+        return ScanCore._look(self, before, live), ScanCore.info(self, view_error=False)
 
     def info(self, view_error: bool = True) -> dict[str, Tensor]:
-        """As `ScanCore.info`; the search for the nearest pose of the view is not compiled."""
-        return super().info() if view_error else self._told(False)
+        """As `ScanCore.info`, of which a step has told all but the error to the view."""
+        if view_error or self._last is None or self._last[0] is not self.state:
+            return super().info(view_error)
+        return dict(self._last[1])
+
+
+def _apart(state: State) -> State:
+    return State(*(value.clone() for value in vars(state).values()))
 
 
 def _compiled(part: Any) -> Callable[..., Any]:

@@ -61,6 +61,8 @@ def test_rows_that_are_reset_alone_go_on_as_the_cores(traced):
         core.reset(seed=1)
         core.step(action)
         core.reset(mask=mask)
+    told, other = (core.info(False) for core in cores)  # of the new episode, not of the last step
+    assert told["steps"].tolist() == other["steps"].tolist() == [1, 0, 1]
     plain, quick = (core.step(action, rows=torch.tensor([1])).observation for core in cores)
     torch.testing.assert_close(plain["params"], quick["params"], atol=CLOSE, rtol=0)
     assert cores[1].state.steps.tolist() == [1, 1, 1]
