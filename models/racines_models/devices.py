@@ -42,15 +42,23 @@ def has_bfloat16(device: torch.device | str) -> bool:
 def check_compiler(device: str, setting: str) -> None:
     """Refuse to compile for a CPU where PyTorch finds no C++ compiler, before anything is done.
 
+    Sets the width of the CPU's vectors, which PyTorch finds out by itself but does not keep beside
+    the code that it stores: a folder of it that is shared by machines, or used with and without
+    `ATEN_CPU_CAPABILITY`, would give code of the wrong width, and wrong numbers (torch 2.13).
+
     Raises:
         RacinesError: there is none; it names the setting that asks for one.
     """
+    from torch._inductor import config
     from torch._inductor.cpp_builder import get_cpp_compiler
+    from torch._inductor.cpu_vec_isa import pick_vec_isa
     from torch._inductor.exc import InvalidCxxCompiler
 
     try:
         if device == "cpu":
             get_cpp_compiler()
+            if config.cpp.simdlen is None:
+                config.cpp.simdlen = pick_vec_isa().bit_width()
     except InvalidCxxCompiler as error:
         remedy = f"install one (g++), name it in CXX, or leave {setting} false"
         raise RacinesError(f"{setting}: no C++ compiler was found: {remedy}") from error

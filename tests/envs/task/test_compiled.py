@@ -1,5 +1,9 @@
 """Compiled steps: those of the core, to a rounding; what they refuse."""
 
+import os
+import subprocess
+import sys
+
 import pytest
 import torch
 
@@ -9,6 +13,7 @@ from tests.variants import first_of
 
 TASKS = ["SC", "AnyView-beating"]
 ROWS, STEPS = 6, 40
+CAPABILITY = torch.backends.cpu.get_cpu_capability()
 CLOSE = 1e-4
 """How far numbers may lie from each other, rewards and newtons too."""
 
@@ -49,6 +54,18 @@ def test_steps_are_those_of_the_core(traced, view):
 @pytest.mark.parametrize("view", TASKS)
 def test_compiled_code_gives_the_steps_of_the_core(view):
     assert_alike(view)
+
+
+@pytest.mark.thorough
+@pytest.mark.skipif(CAPABILITY != "AVX512", reason="needs two instruction sets with vectors")
+def test_code_that_is_kept_serves_no_other_instruction_set(tmp_path):
+    """A folder of compiled code may be shared: with the width of other vectors all is wrong."""
+    one = "test_compiled_code_gives_the_steps_of_the_core[SC]"
+    for capability in ("avx512", "avx2"):
+        kept = {"TORCHINDUCTOR_CACHE_DIR": str(tmp_path), "ATEN_CPU_CAPABILITY": capability}
+        command = [sys.executable, "-m", "pytest", "-q", "-n", "0", f"{__file__}::{one}"]
+        done = subprocess.run(command, env=os.environ | kept, capture_output=True, text=True)
+        assert done.returncode == 0, done.stdout[-2000:]
 
 
 def test_rows_that_are_reset_alone_go_on_as_the_cores(traced):
