@@ -62,11 +62,11 @@ class CompiledCore(ScanCore):
         if rows is not None or refused:
             return super().step(action, autoreset, rows, strict)
         state, before, begins = self.state, self.score, torch.zeros_like(self.state.done)
+        taken = self.motion.check(action, self.num_envs)  # before an episode begins
         # One state given as two would be compiled once more when they are two.
         fresh = self._spare = self._spare or _apart(state)
         if autoreset and len(ended := state.done.nonzero().squeeze(1)):
             fresh, begins = fresh.replaced(ended, self._begin(ended)), state.done.clone()
-        taken = self.motion.check(action, self.num_envs)
         given, told = self._stepped(state, fresh, begins, taken, before)
         self._last = self.state, told
         return given

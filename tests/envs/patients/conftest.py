@@ -5,6 +5,7 @@ from pathlib import Path
 import pytest
 
 from racines_envs.worlds.ward import Ward, make_ward
+from tests.envs.patients.eyes import save
 
 
 @pytest.fixture(autouse=True)
@@ -21,3 +22,12 @@ def still() -> Ward:
 @pytest.fixture(scope="session")
 def beating() -> Ward:
     return make_ward("beating", "validation", 2)
+
+
+@pytest.fixture(scope="session")
+def servo(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a servo's run of two trainings, to be read only."""
+    folder = tmp_path_factory.mktemp("eyes") / "servo"
+    save(folder, 0)
+    save(folder / "seed-1", 1)
+    return folder

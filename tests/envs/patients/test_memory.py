@@ -1,15 +1,11 @@
-"""The servo with a memory: what it looks back on, learns from, and where it goes."""
+"""The servo with a memory: what it looks back on, and where it goes."""
 
-import json
-import shutil
-from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 import torch
 
-from racines_data.errors import RacinesError
 from racines_data.geometry import (
     Pose,
     axis_angle_to_matrix,
@@ -18,12 +14,14 @@ from racines_data.geometry import (
     orthonormalise,
     rotation_vector,
 )
+from racines_data.patients.pool import Pool
+from racines_data.patients.splits import seeds_of
 from racines_data.views import VIEWS
 from racines_envs.agents.memory import agent as module
-from racines_envs.agents.memory import episodes, rounds
+from racines_envs.agents.memory import episodes
 from racines_envs.agents.memory.agent import CHOOSE, ServoMemoryAgent
-from racines_envs.agents.memory.episodes import EpisodeConfig, Episodes, act_on
-from racines_envs.agents.memory.eyes import eyes_like, eyes_of
+from racines_envs.agents.memory.episodes import EpisodeConfig, act_on
+from racines_envs.agents.memory.eyes import eyes_of
 from racines_envs.agents.memory.lead import (
     ABOUT,
     BELIEVED,
@@ -33,18 +31,16 @@ from racines_envs.agents.memory.lead import (
     Legs,
     best_of,
 )
-from racines_envs.agents.memory.learner import MemoryConfig, MemoryLearner
+from racines_envs.agents.memory.learner import MemoryConfig
 from racines_envs.agents.memory.notes import LONGEST, Notes, lies, pose_at
 from racines_envs.agents.rollout import rollout
-from racines_envs.agents.servo.agent import ServoAgent
 from racines_envs.agents.servo.belief import BOUNDS, Belief
-from racines_envs.agents.servo.learner import ServoConfig
+from racines_envs.agents.servo.frames import places_of
 from racines_envs.task.tiers import middles
 from racines_envs.worlds.making import make_core
 from racines_models.networks.batching import in_fixed_batches
-from racines_models.networks.recall import FEATURES, LIES, TOKEN, RecallNetwork
-from racines_models.networks.servo import ServoNetwork
-from racines_models.weights import save_weights
+from racines_models.networks.recall import LIES, TOKEN, RecallNetwork
+from tests.envs.patients.eyes import some
 from tests.variants import first_of
 
 
@@ -56,14 +52,6 @@ def network(seed: int = 0) -> RecallNetwork:
         for weights in made.parameters():
             weights += 0.05 * torch.randn_like(weights)
     return made.eval()
-
-
-def some(count: int, length: int, seed: int = 0) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-    """Return tokens, of which the last few are not there, and labels."""
-    draw = torch.Generator().manual_seed(seed)
-    tokens = torch.randn(count, length, TOKEN, generator=draw)
-    ends = torch.randint(length // 2, length, (count, 1), generator=draw)
-    return tokens, torch.arange(length) < ends, torch.arange(count) % len(VIEWS)
 
 
 @torch.no_grad()
@@ -167,22 +155,40 @@ def test_what_is_believed_stays_where_views_can_lie():
     assert torch.allclose(lain[0], away[0], atol=1e-6) and float(turned[3, 2]) > -0.51
 
 
-def save(folder: Path, seed: int, drawn: int | None = None) -> None:
-    torch.manual_seed(seed if drawn is None else drawn)
-    folder.mkdir(parents=True, exist_ok=True)
-    save_weights(folder / "policy.safetensors", ServoNetwork(len(VIEWS)).state_dict())
-    told = {"agent": "servo", "config": asdict(ServoConfig()), "seed": seed}
-    (folder / "config.json").write_text(json.dumps(told))
-    (folder / "metrics.json").write_text("{}")
+def inside(found: Pose, labels: torch.Tensor) -> torch.Tensor:
+    """Return (N,) bool: poses lie within the bounds about the middles of (N,) labels."""
+    about, limits = middles(labels), [torch.tensor(each) for each in BOUNDS]
+    turn = rotation_vector(matmul3(found.rotation, about.rotation.transpose(1, 2).contiguous()))
+    within = [(found.position - about.position).abs() <= limits[0] + 1e-5]
+    return torch.cat([*within, turn.abs() <= limits[1] + 1e-4], 1).all(1)
 
 
-@pytest.fixture(scope="module")
-def servo(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Return a servo's run of two trainings, to be read only."""
-    folder = tmp_path_factory.mktemp("eyes") / "servo"
-    save(folder, 0)
-    save(folder / "seed-1", 1)
-    return folder
+@pytest.mark.thorough
+def test_views_of_train_patients_lie_within_the_bounds():
+    for patient in seeds_of("train")[2_000:2_060]:
+        pool = Pool(places_of(patient, 5))
+        targets = pool.targets(torch.arange(len(pool)))
+        for label in range(len(VIEWS)):
+            of_view = Pose(*(part[:, label] for part in targets))
+            assert bool(inside(of_view, torch.full((len(pool),), label)).all()), (patient, label)
+
+
+def test_what_it_believes_is_bounded_and_what_it_notes_is_not(still, servo: Path):
+    """Readings that lead far off: the belief stays, and the memory sees them as they were."""
+    core = make_core("AnyView-patients", 6, observation="multimodal", phantom=still)
+    observation, tokens = core.reset(torch.arange(6)), []
+    for bounded in (False, True):
+        network = eyes_of(str(servo), 0, "cpu").network
+        with torch.no_grad():
+            network.head[-1].bias += 6.0  # of every number: ways among them
+        agent = ServoMemoryAgent(MemoryConfig(bounded=bounded), network)
+        agent.attach(core)
+        with torch.no_grad():
+            found, _ = agent.read(observation, core.state.pose)
+        within = inside(found.pose, core.state.goal)
+        assert bool(within.all()) if bounded else not bool(within.any())
+        tokens.append(agent._token)
+    assert torch.equal(*tokens)
 
 
 SOON = 40
@@ -193,159 +199,6 @@ SOON = 40
 def short_search(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "CHOOSE", SOON)
     monkeypatch.setattr(module, "FURTHER", 25)
-
-
-def fake_episodes(agent: Any, patient: int, config: EpisodeConfig, seed: int) -> Episodes:
-    """Return episodes whose readings err by much together, and by little once features are known:
-    the first feature tells where the view truly is."""
-    draw = torch.Generator().manual_seed(patient)
-    count, length = config.episodes, 12
-    target = torch.randn(count, 6, generator=draw)
-    tokens = 0.1 * torch.randn(count, length, TOKEN, generator=draw)
-    spread = 2.0 * torch.rand(count, length, 1, generator=draw)
-    tokens[..., :6] = target.unsqueeze(1) + spread * torch.randn(count, length, 6, generator=draw)
-    tokens[..., 6:12] += (target + torch.randn(count, 6, generator=draw)).unsqueeze(1)
-    tokens[..., 20:26] += 3.0 * target.unsqueeze(1)
-    away = (tokens[..., :6] - target.unsqueeze(1)).norm(dim=-1)
-    shown = torch.sigmoid(6.0 - 3.0 * away)
-    seen = torch.ones(count, length, dtype=torch.bool)
-    labels = torch.arange(count) % len(VIEWS)
-    return Episodes(tokens, seen, torch.stack([shown, shown], -1), labels, target)
-
-
-def settings(servo: Path) -> MemoryConfig:
-    return MemoryConfig(
-        members=str(servo), patients=4, round_patients=2, validation_patients=1,
-        acts=EpisodeConfig(episodes=6, places=1), episodes=64, round_episodes=32, batch_size=8,
-        precision="fp32",
-    )  # fmt: skip
-
-
-@pytest.fixture
-def tiny(servo: Path, monkeypatch: pytest.MonkeyPatch) -> MemoryConfig:
-    monkeypatch.setattr(rounds, "act_on", fake_episodes)
-    return settings(servo)
-
-
-@pytest.fixture(scope="module")
-def trained(
-    servo: Path, tmp_path_factory: pytest.TempPathFactory
-) -> dict[int, tuple[ServoMemoryAgent, Path]]:
-    """Return a training by seed, and its folder."""
-    made = {}
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(rounds, "act_on", fake_episodes)
-        for seed in (0, 1):
-            folder = tmp_path_factory.mktemp("memory") / str(seed)
-            agent = ServoMemoryAgent.train(settings(servo), folder, seed=seed, progress=False)
-            made[seed] = agent, folder
-    return made
-
-
-def learner(config: MemoryConfig, patients: range, episodes: int) -> MemoryLearner:
-    acts = EpisodeConfig(episodes=episodes)
-    own, held = (
-        rounds.joined([fake_episodes(None, each, acts, 0) for each in whose])
-        for whose in (patients, range(900, 904))
-    )
-    return MemoryLearner(config, own, held, 0, "ab" * 32)
-
-
-def test_it_learns_what_no_reading_says(tiny: MemoryConfig, tmp_path: Path):
-    """Readings of an episode err alike, so that their mean errs too: looking back mends that."""
-    made = learner(replace(tiny, episodes=1_600, batch_size=16), range(40), 10)
-    before = made.look(0, tmp_path)
-    optimizer = made.optimizers()["network"]
-    for batch in made.batches(0, 1_600):
-        for group in optimizer.param_groups:
-            group["lr"] = 2e-3
-        (update,) = made.updates(made.modules(), batch)
-        optimizer.zero_grad()
-        update.loss.backward()
-        optimizer.step()
-    after = made.look(1_600, tmp_path)
-    assert after["validation/position_error"] < 0.6 * before["validation/position_error"]
-    assert after["validation/chosen"] > before["validation/chosen"]
-    assert after["validation/passed"] == before["validation/passed"] > 0.5
-
-
-def test_batches_are_functions_of_what_went_before(tiny: MemoryConfig):
-    one, other = (learner(tiny, range(3), 4) for _ in range(2))
-    whole, rest = list(one.batches(0, 64)), list(other.batches(32, 64))
-    for ours, theirs in zip(whole[4:], rest, strict=True):
-        assert torch.equal(ours.seeds, theirs.seeds)
-        assert torch.equal(ours.episodes.tokens, theirs.episodes.tokens)
-        mine, its = (next(each.updates(one.modules(), ours)).loss for each in (one, other))
-        assert torch.equal(mine, its), "what a step leaves out and asks is the batch's own"
-
-
-def test_training_saves_what_it_loads_and_each_sees_through_the_servo_of_its_seed(
-    tiny: MemoryConfig, trained: dict[int, tuple[ServoMemoryAgent, Path]]
-):
-    tokens, seen, labels = some(3, LONGEST)
-    for seed, (agent, folder) in trained.items():
-        loaded = ServoMemoryAgent.load(folder)
-        assert agent.recall is not None and loaded.recall is not None
-        with torch.no_grad():
-            ours, theirs = (
-                each.recall.recall(tokens, seen, labels) for each in (agent, loaded) if each.recall
-            )
-        assert all(torch.equal(*both) for both in zip(ours, theirs, strict=True))
-        own = ServoAgent.load(Path(tiny.members) / (f"seed-{seed}" if seed else ""))
-        images = torch.randint(0, 256, (2, 128, 128), dtype=torch.uint8)
-        assert torch.equal(own.readings(images).ways, loaded.readings(images).ways)
-        told = json.loads((folder / "metrics.json").read_text())
-        counted = [each["training"]["episodes"] for each in (told, *told["rounds"])]
-        assert counted == [64, 32] and "images" not in told["training"]
-        steps = 12 * tiny.acts.episodes
-        assert told["frames"] == (tiny.patients + tiny.round_patients) * steps
-        kept = {each.name for each in folder.rglob("*") if each.is_dir()}
-        assert not kept & {"done", "checkpoint"}, "nothing of the work is left"
-
-
-def test_a_killed_run_goes_on(
-    tiny: MemoryConfig,
-    trained: dict[int, tuple[ServoMemoryAgent, Path]],
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-):
-    whole, _ = trained[0]
-    acted: list[int] = []
-
-    def until_killed(agent: Any, patient: int, config: EpisodeConfig, seed: int) -> Episodes:
-        if len(acted) == 6:
-            acted.append(0)
-            raise KeyboardInterrupt
-        acted.append(patient)
-        return fake_episodes(agent, patient, config, seed)
-
-    monkeypatch.setattr(rounds, "act_on", until_killed)
-    with pytest.raises(KeyboardInterrupt):
-        ServoMemoryAgent.train(tiny, tmp_path / "cut", progress=False)
-    again = ServoMemoryAgent.train(tiny, tmp_path / "cut", progress=False)
-    patients = [each for each in acted if each]
-    assert len(patients) == len(set(patients)) == 7, "no patient is scanned twice"
-    assert whole.recall is not None and again.recall is not None
-    for ours, theirs in zip(whole.recall.parameters(), again.recall.parameters(), strict=True):
-        assert torch.equal(ours, theirs)
-
-
-@pytest.mark.thorough
-def test_several_processes_act_as_one_does(servo: Path, tmp_path: Path):
-    few = {"patients": 1, "round_patients": 1, "validation_patients": 1}
-    config = MemoryConfig(
-        members=str(servo), acts=EpisodeConfig(episodes=1, places=1), episodes=16,
-        round_episodes=8, batch_size=8, precision="fp32", **few,
-    )  # fmt: skip
-    alone, many = (
-        ServoMemoryAgent.train(
-            replace(config, processes=count), tmp_path / str(count), progress=False
-        ).recall
-        for count in (1, 2)
-    )
-    assert alone is not None and many is not None
-    for ours, theirs in zip(alone.parameters(), many.parameters(), strict=True):
-        assert torch.equal(ours, theirs)
 
 
 @pytest.mark.parametrize("patient", first_of([2, 3]))
@@ -434,33 +287,3 @@ def test_a_row_does_not_depend_on_its_batch(
     alone = rollout(one, agent, seeds[2:], case[2:]).actions
     assert [int(each[2]) for each in whole[: len(alone)]] == [int(each[0]) for each in alone]
     assert len(alone) > SOON + 10 and len(ABOUT) + CHOICES == 5
-
-
-def test_an_empty_folder_of_its_name_is_no_servo(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    """The published servo is found all the same."""
-    (tmp_path / "servo").mkdir()
-    monkeypatch.chdir(tmp_path)
-    assert len(eyes_of("servo", 1, "cpu").sha256) == 64
-
-
-def test_what_does_not_fit_is_refused(tiny: MemoryConfig, servo: Path, tmp_path: Path):
-    servo = shutil.copytree(servo, tmp_path / "servo")
-    tiny = replace(tiny, members=str(servo))
-    with pytest.raises(RacinesError, match=r"no training of seed 2 \(seeds 0, 1\)"):
-        ServoMemoryAgent.train(tiny, tmp_path / "out", seed=2, progress=False)
-    assert not (tmp_path / "out").exists()
-    with pytest.raises(RacinesError, match="a policy of 'servo', not servo-memory"):
-        ServoMemoryAgent.load(servo)
-    with pytest.raises(RacinesError, match=r"sha256 abababababababab….*train the memory anew"):
-        eyes_like("ab" * 32, str(servo), tmp_path, "cpu")
-    ServoMemoryAgent.train(tiny, tmp_path / "made", progress=False)
-    save(servo, 0, drawn=5)  # another servo in the place of the one it saw through
-    with pytest.raises(RacinesError, match="sees through a servo whose weights have the sha256"):
-        ServoMemoryAgent.load(tmp_path / "made")
-    with pytest.raises(RacinesError, match="looks 5: 0 to 4"):
-        MemoryConfig(looks=5)
-    with pytest.raises(RacinesError, match="there are 9999 and 1000"):
-        MemoryConfig(first=9_990)
-    with pytest.raises(RacinesError, match="1 or more"):
-        EpisodeConfig(places=0)
-    assert ServoNetwork(1).head[-1].in_features == FEATURES

@@ -68,6 +68,30 @@ def test_code_that_is_kept_serves_no_other_instruction_set(tmp_path):
         assert done.returncode == 0, done.stdout[-2000:]
 
 
+def test_the_width_of_vectors_is_part_of_what_code_is_stored_by():
+    from torch._inductor import config, cpu_vec_isa
+
+    with config.patch({"cpp.simdlen": None}):
+        before = config.get_hash()
+        make_core("SC", 2, observation="params", reward="shaped", compile=True)
+        assert config.cpp.simdlen == cpu_vec_isa.pick_vec_isa().bit_width()
+        assert config.get_hash() != before
+
+
+def test_a_bad_action_costs_no_episode(traced):
+    cores = [
+        make_core("SC", 2, observation="params", reward="shaped", compile=each)
+        for each in (False, True)
+    ]
+    for core in cores:
+        core.reset(seed=1)
+        core.state.done = torch.tensor([True, False])
+        with pytest.raises(RacinesError, match="action"):
+            core.step(torch.tensor([0, 13]), autoreset=True)
+        core.step(torch.tensor([0, 12]), autoreset=True)
+    assert torch.equal(cores[0].state.seed, cores[1].state.seed)
+
+
 def test_rows_that_are_reset_alone_go_on_as_the_cores(traced):
     cores = [
         make_core("SC", 3, observation="params", reward="oracle", compile=each)

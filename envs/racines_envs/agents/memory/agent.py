@@ -11,13 +11,7 @@ from racines_data.files import write_json
 from racines_data.geometry import Pose, axis_angle_to_matrix, matmul3, orthonormalise, rotate
 from racines_data.views import VIEWS
 from racines_envs.agents.memory.eyes import eyes_like, eyes_of
-from racines_envs.agents.memory.lead import (
-    BELIEVED,
-    Lead,
-    Legs,
-    best_of,
-    either,
-)
+from racines_envs.agents.memory.lead import BELIEVED, Lead, Legs, best_of, either
 from racines_envs.agents.memory.learner import MemoryConfig
 from racines_envs.agents.memory.notes import Notes, lies, pose_at
 from racines_envs.agents.memory.rounds import discard, learn

@@ -51,6 +51,7 @@ def learn(
         recalls = None if network is None else deepcopy(network).cpu()
         agent = make(config, deepcopy(eyes.network).cpu(), recalls)
         told = {"world": PATIENTS_VERSION, "eyes": eyes.sha256, "seed": run.seed, "by": who}
+        # Without the setting, episodes are those that folders of before hold.
         told |= asdict(config.acts) | ({"bounded": True} if config.bounded else {})
         state = agent, config.acts, run.seed, store / recipe_digest(told)[:16]
         if config.processes > 1:

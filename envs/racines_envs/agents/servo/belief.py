@@ -34,7 +34,7 @@ SPREADS = (0.026, 0.026, 0.001), (0.09, 0.09, 0.26)
 frame's axes, m and rad: the probe stands on the skin, and hearts turn about the vertical most."""
 BOUNDS = (0.1, 0.1, 0.005), (0.28, 0.28, 0.5)
 """About a view's middle, along and about the same axes, where the targets of all train patients
-lie that were looked at: 60 of them, each in five ways."""
+lie that were looked at: 60 of them, each in five ways. Few others may lie beyond."""
 UNITS = 0.02, 0.35
 """Metres and radians whose squares are the units of the precisions."""
 
