@@ -27,7 +27,7 @@ from racines_envs.task.core import PARAMS_SIZE
 from racines_envs.task.tasks import PATIENT_TASKS
 from racines_envs.worlds.making import make_core
 from racines_models.networks.batching import in_fixed_batches
-from tests.envs.patients.test_memory import save
+from tests.envs.patients.eyes import save
 
 GOAL = slice(SIZE - len(VIEWS), SIZE)
 STEPS, BEST = SIZE - len(VIEWS) - 2, slice(SIZE - len(VIEWS) - 9, SIZE - len(VIEWS) - 3)
