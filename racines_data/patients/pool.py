@@ -58,9 +58,9 @@ from racines_data.phantom.config import ContactConfig
 from racines_data.views import LABELS, VIEWS
 from racines_data.world import Truth, Workspace
 
-CHUNK = {"cpu": 16, "cuda": 1024}
-"""Rows rendered at once by device type, else 64: sixteen fit the caches of a CPU, and on
-a GPU the launches of kernels bound a smaller batch."""
+CHUNK = {"cuda": 1024}
+"""Rows rendered at once by device type, else 64. On a GPU the launches of kernels bound a smaller
+batch."""
 
 
 class Pool:

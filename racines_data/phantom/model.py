@@ -22,10 +22,6 @@ from racines_data.world import Truth, Workspace, World
 CHUNK = {"cuda": 2048}
 """Frames rendered at once by device type, else 64: bounds the memory of the polar grids (about 1 MB
 a frame). On a GPU the launches of its kernels bound a smaller batch."""
-CACHED = {"cpu": 16}
-"""Frames whose polar grids are worked on at once by device type, else the chunk: sixteen fit the
-caches of a CPU, two threads included. The coupling of a chunk is computed at once all the same,
-since a CPU may round it otherwise in what is left after the last full vector."""
 VECTORS = 32  # rows that fill whole vectors of a CPU, whatever their columns
 
 
@@ -88,7 +84,7 @@ class Phantom(World):
             return torch.zeros((0, 128, 128), dtype=torch.uint8, device=self.device)
         size = CHUNK.get(self.device.type, 64)
         chunks = zip(*(x.split(size) for x in (*pose, seeds)), strict=True)
-        parts = [part for chunk in chunks for part in self._render_chunk(*chunk)]
+        parts = [self._render_chunk(*chunk) for chunk in chunks]
         return parts[0] if len(parts) == 1 else torch.cat(parts)
 
     def envelope(self, pose: Pose, seeds: Tensor) -> Tensor:
@@ -105,14 +101,11 @@ class Phantom(World):
             field = acoustics.add_face(field, self._beams, probe, coupling, noise)
             yield acoustics.echo_power(field)
 
-    def _render_chunk(self, *inputs: Tensor) -> Iterator[Tensor]:
-        """Yield the images of a chunk of positions, rotations and seeds, some at a time."""
-        size = CACHED.get(self.device.type, len(inputs[0]))
-        inputs = (*inputs, self.coupling(Pose(*inputs[:2])))
-        for *pose, seeds, coupling in zip(*(x.split(size) for x in inputs), strict=True):
-            powers = self._looks(Pose(*pose), seeds, coupling)
-            looks = [acoustics.log_compress(power, self.config.probe) for power in powers]
-            yield self._converter.convert(sum(looks[1:], looks[0]) / len(looks))
+    def _render_chunk(self, position: Tensor, rotation: Tensor, seeds: Tensor) -> Tensor:
+        pose = Pose(position, rotation)
+        powers = self._looks(pose, seeds, self.coupling(pose))
+        looks = [acoustics.log_compress(power, self.config.probe) for power in powers]
+        return self._converter.convert(sum(looks[1:], looks[0]) / len(looks))
 
     def coupling(self, pose: Pose) -> Tensor:
         """Return (B, beams) acoustic coupling in 0-1."""

@@ -55,7 +55,7 @@ class Size:
     rows: int = 64
     hearts: int = 8
     rounds: int = 15
-    chunks: tuple[int, ...] = (8, 32, 64)
+    chunks: tuple[int, ...] = (8, 16, 32)
     patience: float = 60.0
     """Seconds within which a function has to be compiled; 0: none is."""
 
@@ -111,7 +111,7 @@ def of_heart(size: Size) -> World:
         return phantom.render(pose, seeds)
 
     ways = {
-        f"{n} at a time": while_set(draw, replaced(model, "CACHED", {"cpu": n}))
+        f"{n} at a time": while_set(draw, replaced(model, "CHUNK", {"cpu": n}))
         for n in size.chunks
     }
     ways |= of_threads(draw)
