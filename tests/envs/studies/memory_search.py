@@ -1,10 +1,11 @@
-"""What two settings of a memory are worth: readings kept where views can lie, and more looks.
+"""What two settings of a memory are worth, and twice as many patients to learn from.
 
     python -m tests.envs.studies.memory_search
 
-The three published trainings of `servo-memory-full`, with each setting and with both, from the same
-starts on validation patients on whom nothing was chosen. What was measured is kept in
-`envs/runs/memory-search`: a study that was killed goes on.
+`servo-memory-full` as it was, the same three trainings with both settings (readings kept where
+views can lie, and more looks), and `servo-memory-plus`, which was also taught by twice as many
+patients: from the same starts on validation patients on whom nothing was chosen. What was measured
+is kept in `envs/runs/memory-search`: a study that was killed goes on.
 """
 
 import json
@@ -12,7 +13,7 @@ import time
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from racines_data.digest import recipe_digest
 from racines_data.files import write_json
@@ -26,30 +27,39 @@ from tests.envs.studies.patients_curve import percent
 
 ROOT = Path(__file__).parents[3]
 RESULT = ROOT / "docs/results/memory-search.json"
-AGENT, KEPT = ROOT / "envs/weights/servo-memory-full", Path("envs/runs/memory-search")
-WAYS: dict[str, Mapping[str, Any]] = {
-    "as it was": {"bounded": False, "looks": 0},
-    "`bounded`": {"bounded": True, "looks": 0},
-    "`looks: 2`": {"bounded": False, "looks": 2},
-    "both": {"bounded": True, "looks": 2},
+KEPT = Path("envs/runs/memory-search")
+BOTH = {"bounded": True, "looks": 2}
+
+
+class Way(NamedTuple):
+    """Who is judged, by which settings."""
+
+    agent: str
+    settings: Mapping[str, Any]
+
+
+WAYS = {
+    "`servo-memory-full`": Way("servo-memory-full", {"bounded": False, "looks": 0}),
+    "the same, with both settings": Way("servo-memory-full", BOTH),
+    "`servo-memory-plus`": Way("servo-memory-plus", BOTH),
 }
 VIEWS = ("A4C", "PL")
 JUDGED = PatientsConfig(split="validation", patients=40, starts=3)
-STARTS = StartSet(tuple(seeds_of("validation")[600 : 600 + JUDGED.patients]), JUDGED.starts, 0)
+STARTS = StartSet(tuple(seeds_of("validation")[700 : 700 + JUDGED.patients]), JUDGED.starts, 0)
 SHARES = {"success_declared": "found and declared", "reached": "passed through"}
 
 
-def point(way: str, view: str, starts: StartSet = STARTS) -> dict[str, Any]:
-    """Return what all trainings find with a way's settings."""
-    trainings = find_trainings(AGENT)
+def point(way: Way, view: str, starts: StartSet = STARTS) -> dict[str, Any]:
+    """Return what all trainings of a way find."""
+    trainings = find_trainings(ROOT / "envs/weights" / way.agent)
     hashes = [each.files for each in trainings]
-    about = {"starts": starts._asdict(), "view": view, "trainings": hashes, **WAYS[way]}
+    about = {"starts": starts._asdict(), "view": view, "trainings": hashes, **way.settings}
     path = KEPT / f"{recipe_digest(about)[:12]}.json"
     if not path.is_file():
         began = time.perf_counter()
         agents = [ServoMemoryAgent.load(each.folder) for each in trainings]
         for each in agents:
-            each.config = replace(each.config, **WAYS[way])
+            each.config = replace(each.config, **way.settings)
         acted = act_on_patients(agents, replace(JUDGED, view=f"{view}-patients"), starts)
         metrics, _ = measure_patients(patient_values(acted), starts.units)
         told = {"steps": metrics["episode_steps"]["value"], "trainings": len(agents)}
@@ -69,7 +79,7 @@ def figures(points: Mapping[str, Mapping[str, dict[str, Any]]]) -> dict[str, Any
     columns = ["", *(f"{view}: {told}" for view in VIEWS for told in SHARES.values()), "steps"]
     return {
         "schema": "racines.figures/1",
-        "what": "servo-memory-full with two further settings, still validation patients",
+        "what": "a memory with two further settings, and taught by more, still validation patients",
         "command": "python -m tests.envs.studies.memory_search",
         "machine": f"one core of a shared {environment('cpu')['cpu']}",
         "source": "measured once",
@@ -83,4 +93,5 @@ def figures(points: Mapping[str, Mapping[str, dict[str, Any]]]) -> dict[str, Any
 
 
 if __name__ == "__main__":
-    write_json(RESULT, figures({way: {view: point(way, view) for view in VIEWS} for way in WAYS}))
+    judged = {told: {view: point(way, view) for view in VIEWS} for told, way in WAYS.items()}
+    write_json(RESULT, figures(judged))
