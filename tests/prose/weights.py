@@ -40,7 +40,7 @@ GROUPS = {
     "envs/weights/servo-memory-full": "the same through `servo-full`, three trainings, in eight "
     "bits",
     "envs/weights/patients/ppo-*": "policies on still patients that see the pose, three trainings "
-    "a view",
+    "a view, in eight bits",
     "envs/weights/beating/ppo-*": "the same on beating hearts",
     "envs/weights/patients/behaviour-cloning-*": "policy that imitates sweeps of patients, three "
     "trainings",
