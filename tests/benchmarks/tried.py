@@ -111,8 +111,7 @@ def of_heart(size: Size) -> World:
         return phantom.render(pose, seeds)
 
     ways = {
-        f"{n} at a time": while_set(draw, replaced(model, "CHUNK", {"cpu": n}))
-        for n in size.chunks
+        f"{n} at a time": while_set(draw, replaced(model, "CHUNK", {"cpu": n})) for n in size.chunks
     }
     ways |= of_threads(draw)
     for name, kind in HALVES.items():
