@@ -39,6 +39,7 @@ GROUPS = {
     "envs/weights/servo-memory": "agent on patients that sees through the servo, three trainings",
     "envs/weights/servo-memory-full": "the same through `servo-full`, three trainings, in eight "
     "bits",
+    "envs/weights/servo-memory-plus": "the same, taught by twice as many, likewise",
     "envs/weights/patients/ppo-*": "policies on still patients that see the pose, three trainings "
     "a view, in eight bits",
     "envs/weights/beating/ppo-*": "the same on beating hearts",
