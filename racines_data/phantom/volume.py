@@ -42,12 +42,12 @@ def bake(anatomy: Anatomy, block: BlockConfig) -> Volume:
     def spread(name: str) -> Tensor:
         return torch.tensor([getattr(each, name) for each in anatomy.tissues])[tissue]
 
-    gradient = torch.stack(torch.gradient(blur(spread("impedance"), 0.8))) / REFLECTOR_STEP
+    gradient = torch.stack(torch.gradient(blur(spread("impedance"), 0.8))).div_(REFLECTOR_STEP)
     sheets = spread("sheets")
     gradient += sheet_normals(gradient, sheets)
     scatter = _scatterers(inner, block.seed)
     echogenicity = spread("echogenicity") + spread("texture") * _slow_field(inner, block.seed)
-    echogenicity = echogenicity + spread("grain") * _slow_field(inner, block.seed + 1, 2.5)
+    echogenicity += spread("grain") * _slow_field(inner, block.seed + 1, 2.5)
     amplitude = 10.0 ** (blur(echogenicity, 0.6) / 20.0)
     amplitude[~sheets] /= ALONG_SHEET  # what has no direction is never seen along one
     attenuation = spread("attenuation") + _cover(inner, block)
@@ -55,9 +55,10 @@ def bake(anatomy: Anatomy, block: BlockConfig) -> Volume:
     packed = torch.zeros((*shape, 8), dtype=torch.uint8)
     packed[..., 7] = 255  # outside: air, nothing passes
     core = packed[1:-1, 1:-1, 1:-1]
-    echoes = (scatter * amplitude / SCATTERER_STEP).round().clamp(-32767, 32767).to(torch.int16)
+    scatter.mul_(amplitude).div_(SCATTERER_STEP)  # in place: see `sheet_normals`
+    echoes = scatter.round_().clamp_(-32767, 32767).to(torch.int16)
     core[..., 0:4] = echoes.movedim(0, -1).contiguous().view(torch.uint8)
-    bytes_ = gradient.round().clamp(-127, 127).to(torch.int8)
+    bytes_ = gradient.round_().clamp_(-127, 127).to(torch.int8)
     core[..., 4:7] = bytes_.movedim(0, -1).contiguous().view(torch.uint8)
     core[..., 7] = (attenuation / ATTENUATION_STEP).round().clamp(0, 254).to(torch.uint8)
     origin = low - 0.5 * block.voxel
@@ -104,7 +105,7 @@ def _scatterers(shape: list[int], seed: int) -> Tensor:
     seeds = sample_seeds(seed, 2 * shape[0])
     noise = torch.cat([normal(seed, shape[1] * shape[2]) for seed in seeds.split(1)])
     field = blur(noise.reshape(2, *shape), SCATTER_BLUR)
-    return field / (field.std() * math.sqrt(2.0))
+    return field.div_(field.std() * math.sqrt(2.0))
 
 
 def _slow_field(shape: list[int], seed: int, scale: float = 8.0) -> Tensor:
@@ -147,16 +148,21 @@ def sheet_normals(gradient: Tensor, sheets: Tensor) -> Tensor:
     Muscle lies in sheets along the walls that it makes. A voxel's sheet is normal to the interfaces
     around it: the first axis of their structure tensor, on a grid of half the resolution.
     """
-    pairs = [gradient[i] * gradient[j] for i, j in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))]
-    coarse = torch.cat([functional.avg_pool3d(p[None, None], 2, ceil_mode=True)[0] for p in pairs])
-    coarse = blur(coarse, 2.0)
-    where = sheets.nonzero() // 2
-    xx, yy, zz, xy, xz, yz = coarse[:, where[:, 0], where[:, 1], where[:, 2]]
-    tensor = torch.stack([xx, xy, xz, xy, yy, yz, xz, yz, zz], -1).view(-1, 3, 3)
-    axis = torch.ones(len(where), 3, 1, dtype=gradient.dtype)
-    for _ in range(8):  # power iteration
-        axis = functional.normalize(tensor @ axis, dim=1)
-    axis = axis[..., 0].T
+    pairs = (0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)
+    # One product of whole grids at a time, and voxels in parts, bound the memory of a bake.
+    coarse = blur(torch.cat([_halved(gradient[i] * gradient[j]) for i, j in pairs]), 2.0)
     normals = torch.zeros_like(gradient)
-    normals[:, sheets] = axis * torch.where((axis * gradient[:, sheets]).sum(0) < 0, -SHEET, SHEET)
+    for where in sheets.nonzero().split(1 << 18):
+        xx, yy, zz, xy, xz, yz = coarse[:, *(where // 2).unbind(1)]
+        tensor = torch.stack([xx, xy, xz, xy, yy, yz, xz, yz, zz], -1).view(-1, 3, 3)
+        axis = torch.ones(len(where), 3, 1, dtype=gradient.dtype)
+        for _ in range(8):  # power iteration
+            axis = functional.normalize(tensor @ axis, dim=1)
+        along, at = axis[..., 0].T, where.unbind(1)
+        side = torch.where((along * gradient[:, *at]).sum(0) < 0, -SHEET, SHEET)
+        normals[:, *at] = along * side
     return normals
+
+
+def _halved(grid: Tensor) -> Tensor:
+    return functional.avg_pool3d(grid[None, None], 2, ceil_mode=True)[0]
