@@ -32,3 +32,9 @@ def test_streams_and_keys_differ() -> None:
 def test_given_seeds_are_used_as_they_are() -> None:
     seeds = torch.tensor([5, 6, 7])
     assert torch.equal(sample_seeds(seeds, 3), seeds)
+
+
+def test_an_integer_derives_what_it_derives_as_a_tensor() -> None:
+    seeds = sample_seeds(0, 100)
+    for key in (0, 1, 11, -1, 2**31, 2**63 - 1, -(2**63), *sample_seeds(1, 500).tolist()):
+        assert torch.equal(derive(seeds, key, 7), derive(seeds, torch.tensor(key), 7)), key
