@@ -3,7 +3,8 @@
     python -m tests.envs.studies.memory_search
 
 `servo-memory-full`, and `servo-memory-plus`, which keeps readings where views can lie, looks about
-more often and was taught by twice as many patients: from the same starts on validation patients on
+more often and was taught by twice as many patients; and each with the other's settings, so that
+what these do and what the patients do is told apart: from the same starts on validation patients on
 whom nothing was chosen. What was measured is kept in `envs/runs/memory-search`: a study that was
 killed goes on.
 """
@@ -37,9 +38,12 @@ class Way(NamedTuple):
     settings: Mapping[str, Any]
 
 
+FEW, MORE = {"bounded": False, "looks": 0}, {"bounded": True, "looks": 2}
 WAYS = {
-    "`servo-memory-full`": Way("servo-memory-full", {"bounded": False, "looks": 0}),
-    "`servo-memory-plus`": Way("servo-memory-plus", {"bounded": True, "looks": 2}),
+    "`servo-memory-full`": Way("servo-memory-full", FEW),
+    "`servo-memory-plus`": Way("servo-memory-plus", MORE),
+    "the first, with both settings": Way("servo-memory-full", MORE),
+    "the second, without them": Way("servo-memory-plus", FEW),
 }
 VIEWS = ("A4C", "PL")
 JUDGED = PatientsConfig(split="validation", patients=40, starts=3)

@@ -31,7 +31,7 @@ def test_its_table_has_a_row_a_way():
     told = {"steps": 150.0, "trainings": 3, "seconds": 60.0}
     told |= {key: share for key in study.SHARES}
     made = study.figures({way: {view: told for view in study.VIEWS} for way in study.WAYS})
-    assert made["figures"]["level"] == 91 and made["figures"]["minutes"] == 4
+    assert made["figures"]["level"] == 91 and made["figures"]["minutes"] == 8
     table = made["tables"]["search"]
     assert [len(row) for row in table["rows"]] == [len(table["columns"])] * len(study.WAYS)
     assert table["rows"][1] == ["`servo-memory-plus`", *["50 % (40 – 60)"] * 4, "150"]
