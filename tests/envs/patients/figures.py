@@ -19,7 +19,7 @@ RESULT = Path(__file__).parents[3] / "docs/results/patient-tasks.json"
 BOARDS = RESULT.parents[2] / "leaderboard/results"
 AGENTS = (
     "random", "constant-pose", "blind-tour", "ppo", "behaviour-cloning", "ppo-belief", "servo",
-    "servo-full", "servo-memory", "servo-memory-full", "planner",
+    "servo-full", "servo-memory", "servo-memory-full", "servo-memory-plus", "planner",
 )  # fmt: skip
 TIERS = {"patients": "still", "beating": "beating"}
 Found = dict[tuple[str, ...], dict[str, Any]]
@@ -113,7 +113,8 @@ def gains(one: str, other: str) -> dict[str, Any]:
             gain = difference(*(figures.replicates() for figures in both))
             assert gain.low is not None and gain.high is not None
             cells.append(f"{100 * gain.value:+.0f} ({100 * gain.low:.0f} to {100 * gain.high:.0f})")
-        rows.append([told, *cells])
+        if set(cells) != {"–"}:
+            rows.append([told, *cells])
     return {"columns": ["hearts", *VIEWS], "rows": rows}
 
 
@@ -136,6 +137,7 @@ def fill(found: Found) -> None:
     tables |= {"pathology": by_pathology(found, "servo", "test")}
     tables |= {"gains": gains("servo-memory", "servo"), "pixels": gains("servo-full", "servo")}
     tables |= {"both": gains("servo-memory-full", "servo-full")}
+    tables |= {"taught": gains("servo-memory-plus", "servo-memory-full")}
     shown = {
         agent: {
             told: round(100 * found[agent, "A4C", tier, "test"]["metrics"][

@@ -21,6 +21,7 @@ from matplotlib.figure import Figure
 
 from racines_data.files import write_json
 from racines_data.patients.patient import PATHOLOGIES
+from racines_data.patients.population import draw_patient
 from racines_data.plotting import card_style, colour
 from racines_data.views import VIEWS
 from racines_envs.agents import load_agent
@@ -41,10 +42,10 @@ RESULT = ROOT / "docs/results/agent-outcomes.json"
 THRESHOLDS, LEARNING = (ROOT / f"docs/images/agent-{name}.png" for name in
                         ("thresholds", "learning"))  # fmt: skip
 WEIGHTS = ROOT / "envs/weights"
-BEST = {"patients": "servo-memory-full", "beating": "servo-memory-full"}
+BEST = {"patients": "servo-memory-plus", "beating": "servo-memory-full"}
 """By tier, of those with a row in every view, the one first on most tasks: most is told of it."""
 DRAWN = ("constant-pose", "ppo-belief", "servo", "servo-memory", "servo-full", "servo-memory-full",
-         "planner")  # fmt: skip
+         "servo-memory-plus", "planner")  # fmt: skip
 AXES = {
     "position_error": ("mm to the patient's nominal pose", np.linspace(0.0, 30.0, 121)),
     "rotation_error": ("degrees to it", np.linspace(0.0, 30.0, 121)),
@@ -77,6 +78,8 @@ def draw_thresholds(path: Path) -> None:
     for row, (tier, told) in zip(grid, TIERS.items(), strict=True):
         for axes, (key, (title, thresholds)) in zip(row, AXES.items(), strict=True):
             for place, agent in enumerate(DRAWN):
+                if not has_row(agent, "A4C", tier):
+                    continue
                 values = evidence_of(agent, "A4C", tier).figures[key].values
                 assert values is not None
                 shares = share_within(values.ravel(), thresholds, key == "final_grade")
@@ -86,7 +89,7 @@ def draw_thresholds(path: Path) -> None:
         row[0].set_ylabel("share of episodes, %")
         row[0].set_title(f"A4C, {told} hearts, test patients")
     handles, labels = grid[0][0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=len(DRAWN))
+    figure.legend(handles, labels, loc="outside lower center", ncols=len(DRAWN) // 2)
     save(figure, path)
 
 
@@ -114,6 +117,7 @@ def draw_learning(path: Path) -> dict[str, int]:
         (reading, "servo-full", "images", "validation/position_error", 1e-6, 1.0),
         (choosing, "servo-memory", "episodes", "validation/chosen", 1e-3, 100.0),
         (choosing, "servo-memory-full", "episodes", "validation/chosen", 1e-3, 100.0),
+        (choosing, "servo-memory-plus", "episodes", "validation/chosen", 1e-3, 100.0),
         (acting, "ppo-belief", "frames", "validation/success", 1e-3, 100.0),
     )
     for axes, agent, counter, key, each, factor in panels:
@@ -135,12 +139,38 @@ def draw_learning(path: Path) -> dict[str, int]:
     return counted
 
 
-def never_found(agent: str, view: str, tier: str) -> int:
-    """Return in how many patients no training found the view from any start."""
+def left_out(agent: str, view: str, tier: str) -> list[int]:
+    """Return the patients in whom no training found the view from any start."""
     figures = evidence_of(agent, view, tier).figures["success_declared"]
     assert figures.values is not None and figures.units is not None
-    found = figures.values.any((0, 1))
-    return sum(not found[figures.units == unit].any() for unit in np.unique(figures.units))
+    found = np.unique(figures.units[figures.values.any((0, 1))])
+    return [int(unit) for unit in np.setdiff1d(figures.units, found)]
+
+
+def never_found(agent: str, view: str, tier: str) -> int:
+    """Return in how many patients no training found the view from any start."""
+    return len(left_out(agent, view, tier))
+
+
+def left() -> dict[str, Any]:
+    """Return the table of the patients in whom the best agent always fails, and how it ends."""
+    rows = []
+    for tier, told in TIERS.items():
+        for view in VIEWS:
+            figures = evidence_of(BEST[tier], view, tier).figures
+            for patient in left_out(BEST[tier], view, tier):
+                passed, away, grade = (
+                    each.values[..., each.units == patient].ravel()
+                    for name in ("reached", "position_error", "final_grade")
+                    if (each := figures[name]).values is not None and each.units is not None
+                )
+                rows.append([
+                    told, view, str(patient), draw_patient(patient).pathology,
+                    f"{passed.sum():.0f} of {len(passed)}", f"{np.median(away):.0f} mm",
+                    f"{np.median(grade):.1f}",
+                ])  # fmt: skip
+    columns = ["hearts", "view", "patient", "form", "passes through", "distance", "grade"]
+    return {"columns": columns, "rows": rows}
 
 
 def has_row(agent: str, view: str, tier: str) -> bool:
@@ -156,7 +186,8 @@ def never() -> dict[str, Any]:
         for tier, told in TIERS.items():
             cells = [str(never_found(agent, view, tier)) if has_row(agent, view, tier) else "–"
                      for view in VIEWS]  # fmt: skip
-            rows.append([agent, told, *cells])
+            if set(cells) != {"–"}:
+                rows.append([agent, told, *cells])
     return {"columns": ["agent", "hearts", *VIEWS], "rows": rows}
 
 
@@ -296,7 +327,7 @@ def decision() -> dict[str, float]:
 
 def ahead_of(tables: Mapping[str, Any]) -> dict[str, float]:
     """Return by tier how far train patients are ahead, points, where they were scanned."""
-    told = {row[0]: float(row[3]) for row in tables.get("gap", {}).get("rows", [])}
+    told = {row[0]: float(row[4]) for row in tables.get("gap", {}).get("rows", [])}
     return {tier: told[hearts] for tier, hearts in TIERS.items() if hearts in told}
 
 
@@ -319,7 +350,7 @@ def gap(path: Path, found: Found) -> list[str]:
             measured(train["metrics"], "rotation_error", "°")]  # fmt: skip
     ahead = 100 * (train["metrics"]["success_declared"]["value"]
                    - test["success_declared"]["value"])  # fmt: skip
-    return [TIERS[tier], *cells, f"{ahead:+.1f}", *told]
+    return [TIERS[tier], f"`{BEST[tier]}`", *cells, f"{ahead:+.1f}", *told]
 
 
 def fill(arguments: list[str]) -> None:
@@ -333,17 +364,20 @@ def fill(arguments: list[str]) -> None:
     figures |= starting("patients")
     if "--latency" in arguments:
         figures["decision"] = decision()
-    rows = {row[0]: row for row in tables.get("gap", {}).get("rows", [])}
+    best = {told: f"`{BEST[tier]}`" for tier, told in TIERS.items()}
+    # What was measured of another agent, which was the best then, is not its own.
+    kept = [row for row in tables.get("gap", {}).get("rows", []) if row[1] == best[row[0]]]
+    rows = {row[0]: row for row in kept}
     for argument in arguments:
         if not argument.startswith("--"):
             row = gap(Path(argument), found)
             rows[row[0]] = row
     if rows:
-        columns = ["hearts", "train patients", "test patients", "points ahead",
+        columns = ["hearts", "agent", "train patients", "test patients", "points ahead",
                    "distance, train", "angle, train"]  # fmt: skip
         tables["gap"] = {"columns": columns, "rows": list(rows.values())}
     tables |= {"aims": aims(found, ahead_of(tables)), "ends": ends(found)}
-    tables |= {"pathology": by_pathology(found), "never": never()}
+    tables |= {"pathology": by_pathology(found), "never": never(), "left": left()}
     tables["secret"] = secret()
     draw_thresholds(THRESHOLDS)
     draw_learning(LEARNING)

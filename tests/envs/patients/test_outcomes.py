@@ -28,7 +28,7 @@ def test_the_published_tables_are_those_of_the_boards(found):
     for name, made in (
         ("aims", outcomes.aims(found, outcomes.ahead_of(tables))), ("ends", outcomes.ends(found)),
         ("pathology", outcomes.by_pathology(found)), ("never", outcomes.never()),
-        ("secret", outcomes.secret()),
+        ("left", outcomes.left()), ("secret", outcomes.secret()),
     ):  # fmt: skip
         assert tables[name] == made, f"python -m tests.envs.patients.outcomes: {name}"
 
@@ -49,7 +49,8 @@ def test_pictures_are_drawn_of_all_trainings(tmp_path):
 
 
 def test_scores_of_other_patients_or_weights_are_refused(tmp_path, found):
-    row = outcomes.BOARDS / "patients/patient-agents/servo-memory-full-a4c.json"
+    best = outcomes.BEST["patients"]
+    row = outcomes.BOARDS / f"patients/patient-agents/{best}-a4c.json"
     scores, path = json.loads(row.read_text(encoding="utf-8"))["scores"], tmp_path / "train.json"
     path.write_text(json.dumps(scores))
     with pytest.raises(ValueError, match="not of A4C of train patients"):
@@ -57,7 +58,7 @@ def test_scores_of_other_patients_or_weights_are_refused(tmp_path, found):
     scores["task"]["split"] = "train"
     path.write_text(json.dumps(scores))
     row = outcomes.gap(path, found)
-    assert row[0] == "still" and row[1] == row[2] and row[3] == "+0.0"
+    assert row[:2] == ["still", f"`{best}`"] and row[2] == row[3] and row[4] == "+0.0"
     assert outcomes.ahead_of({"gap": {"rows": [row]}}) == {"patients": 0.0}
     scores["weights"]["files"] = {"policy.safetensors": "0" * 64}
     path.write_text(json.dumps(scores))
