@@ -25,7 +25,7 @@ from racines_envs.agents.protocol import SETTINGS
 from racines_envs.agents.steering import Steering
 from racines_envs.task.actions import IDLE
 from racines_envs.task.core import ScanCore
-from racines_envs.task.names import HEART_TIER, PATIENTS
+from racines_envs.task.names import PATIENTS, TIERS
 from racines_envs.task.rewards import RewardConfig, Score, is_hit
 from racines_envs.task.tiers import middles
 from racines_envs.worlds.ward import Ward, make_ward
@@ -60,6 +60,7 @@ class BlindAgent:
     Config: ClassVar[type] = BlindConfig
     observation: str = "params"
     sees: ClassVar[str] = "nothing"
+    tiers: ClassVar[tuple[str, ...]] = TIERS[1:]
     trained: ClassVar[bool] = False
     """The choice draws nothing by chance."""
     most: ClassVar[int]
@@ -71,7 +72,7 @@ class BlindAgent:
 
     def attach(self, core: ScanCore) -> None:
         """Take the steps and the workspace of an environment, and learn which view is asked for."""
-        if core.task.tier == HEART_TIER:
+        if core.task.tier not in self.tiers:
             raise RacinesError(f"{self.name} knows patients, not the one heart: --tier patients")
         self._steering, count = Steering(core), core.num_envs
         self._label = None if core.task.any_view else core.task.target

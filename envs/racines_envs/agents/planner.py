@@ -10,6 +10,7 @@ from racines_data.geometry import Pose, geodesic
 from racines_envs.agents.protocol import Untrained
 from racines_envs.task.actions import ACTIONS, IDLE
 from racines_envs.task.core import ScanCore
+from racines_envs.task.names import TIERS
 from racines_envs.task.rewards import is_hit
 from racines_envs.task.sensing import KnowsWays
 from racines_envs.task.tasks import Task
@@ -34,6 +35,7 @@ class PlannerAgent(Untrained):
 
     name: ClassVar[str] = "planner"
     sees: ClassVar[str] = "truth"
+    tiers: ClassVar[tuple[str, ...]] = TIERS
 
     def __init__(self) -> None:
         self._core: ScanCore | None = None

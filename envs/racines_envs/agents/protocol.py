@@ -41,6 +41,7 @@ class Agent(Protocol):
     observation: str
     """What the environment shows it: `image`, `params` or `multimodal`."""
     # `remembers` may be False where a step's actions depend on that step alone: see `rollout`.
+    # `tiers` may name the tiers in whose every task it acts, whatever view it is asked for.
 
     def attach(self, core: ScanCore) -> None:
         """Meet the environment before a rollout. Only an upper bound may keep hold of it."""
@@ -82,6 +83,15 @@ def sees(agent: Agent) -> str:
 def acts(agent: Any) -> str:
     """Return how an agent acts: its attribute `action`, `velocity` for twists, else `discrete`."""
     return getattr(agent, "action", DISCRETE)
+
+
+def encoder_of(agent: Any) -> Any:
+    """Return the encoder through which the environment shows an agent its images, or None.
+
+    One that is not called is the agent's own: it looks through it itself.
+    """
+    encoder = getattr(agent, "encoder", None)
+    return encoder if callable(encoder) else None
 
 
 def learns(agent: Agent | type[Agent]) -> bool:

@@ -7,6 +7,7 @@ from torch import Tensor
 from racines_data.randomness import uniform
 from racines_envs.agents.protocol import Untrained
 from racines_envs.task.actions import ACTIONS
+from racines_envs.task.names import TIERS
 
 
 class RandomAgent(Untrained):
@@ -14,6 +15,7 @@ class RandomAgent(Untrained):
 
     name: ClassVar[str] = "random"
     sees: ClassVar[str] = "nothing"
+    tiers: ClassVar[tuple[str, ...]] = TIERS
 
     def act(self, observation: dict[str, Tensor], seeds: Tensor) -> Tensor:
         """Draw (N,) actions from the seeds; where a mask is seen, of those that it lets through."""

@@ -15,7 +15,7 @@ from racines_data.errors import RacinesError
 from racines_data.world import World
 from racines_envs.agents import learns, load_agent
 from racines_envs.agents.planner import PlannerAgent
-from racines_envs.agents.protocol import FILES, Agent, acts
+from racines_envs.agents.protocol import FILES, Agent, acts, encoder_of
 from racines_envs.agents.rollout import Episodes, join_episodes, rollout
 from racines_envs.agents.trace import (
     TraceAgent,
@@ -286,9 +286,7 @@ def start_seeds(starts: int, sets: Sequence[int]) -> Tensor:
 
 def core_for(agent: Agent, view: str | Task, rows: int, **settings: Any) -> ScanCore:
     """Return the environment of a view as an agent looks at it; settings as of `make_core`."""
-    encoder = getattr(agent, "encoder", None)
-    encoder = encoder if callable(encoder) else None  # else the agent itself looks through it
-    shown: dict[str, Any] = {"observation": agent.observation, "encoder": encoder}
+    shown: dict[str, Any] = {"observation": agent.observation, "encoder": encoder_of(agent)}
     return make_core(view, rows, action=acts(agent), **shown, **settings)
 
 

@@ -15,11 +15,12 @@ import torch
 from PIL import Image
 
 from racines_data.errors import RacinesError
-from racines_envs.agents import agent_names, load_agent
+from racines_envs.agents import agent_class, agent_names, load_agent
+from racines_envs.agents.protocol import encoder_of
 from racines_envs.apis.rendering import History, Steps
 from racines_envs.explain import maps
 from racines_envs.robots.arm import FREE
-from racines_envs.task.names import HEART_TIER, TIERS, tier_of
+from racines_envs.task.names import ANY_VIEW, TIERS, tier_of
 from racines_leaderboard.studio import inputs, worlds
 from racines_leaderboard.studio.driving import robots
 from racines_leaderboard.studio.parts import Place, Shared, trained_runs
@@ -28,9 +29,6 @@ from racines_leaderboard.studio.worlds import FIRST_PATIENT, FIXED, Start
 
 UNTRAINED = ("planner", "random", "hill-climber")
 """Agents that need no files of their own."""
-ON_PATIENTS = ("servo", "servo-memory", "constant-pose", "blind-tour")
-"""Agents that scan patients alone, in any view."""
-ANYWHERE = ("planner", "random")
 POLICY = "policy.safetensors"
 OFF, ACTION, TARGET = "off", "chosen action", "target view, by the grader"
 READ = "target view, as the agent reads it"
@@ -53,8 +51,8 @@ class Watchable:
     agent: str
     """Registered name."""
     folder: Path
-    view: str | None
-    """The view it was trained for; None for any."""
+    task: str | None
+    """The task it was trained for; None for any view."""
     tiers: tuple[str, ...]
     """Where it acts: on the one heart, on still or on beating patients."""
     changed: int
@@ -88,6 +86,8 @@ class Episode:
     def explainable(self) -> tuple[str, ...]:
         """What can be attributed to pixels here."""
         looks = hasattr(self.agent, "logits") and self.agent.observation != "params"
+        own = getattr(self.agent, "encoder", None) is not encoder_of(self.agent)
+        looks = looks and not own  # whose own eyes add up what was seen: no gradient leads there
         reads = hasattr(self.agent, "view_scores")
         offered = {OFF: True, ACTION: looks, READ: reads}
         offered |= {TARGET: hasattr(self.grader, "network")}
@@ -97,8 +97,7 @@ class Episode:
 def agents(place: Place) -> dict[str, Watchable]:
     """Return the agents by label: those without files, the published policies, then the runs."""
     offered = {
-        name: Watchable(name, name, place.agents / name, None, _tiers(name, {}), 0)
-        for name in UNTRAINED
+        name: Watchable(name, name, place.agents / name, *_where(name, {}), 0) for name in UNTRAINED
     }
     folders = (place.policies, " (published)"), (place.agents, "")
     for label, config, weights in trained_runs(POLICY, *folders):
@@ -106,16 +105,26 @@ def agents(place: Place) -> dict[str, Watchable]:
         if label not in offered and (agent := config.get("agent")) in agent_names():
             settings, changed = config.get("config"), weights.stat().st_mtime_ns
             settings = settings if isinstance(settings, dict) else {}
-            view, tiers = settings.get("view"), _tiers(agent, settings)
-            offered[label] = Watchable(label, agent, weights.parent, view, tiers, changed)
+            found = Watchable(label, agent, weights.parent, *_where(agent, settings), changed)
+            if _tasks(found):
+                offered[label] = found
     return offered
 
 
-def _tiers(agent: str, settings: dict[str, Any]) -> tuple[str, ...]:
-    """Return where an agent of some settings acts."""
-    if agent in ANYWHERE:
-        return TIERS
-    return TIERS[1:] if agent in ON_PATIENTS else (settings.get("tier", HEART_TIER),)
+def _where(agent: str, settings: dict[str, Any]) -> tuple[str | None, tuple[str, ...]]:
+    """Return the task that an agent of some settings was trained for, and where it acts."""
+    kind = agent_class(agent)
+    if tiers := getattr(kind, "tiers", ()):
+        return None, tiers
+    task = str(settings.get("view") or "")
+    if task.startswith(ANY_VIEW) and hasattr(kind, "any_view"):
+        return None, TIERS[1:]
+    return task or None, (tier_of(task),)
+
+
+def _tasks(agent: Watchable) -> list[str]:
+    return [name for name in worlds.tasks()
+            if tier_of(name) in agent.tiers and agent.task in (None, name)]  # fmt: skip
 
 
 def _offered(place: Place, label: Any) -> Watchable:
@@ -125,11 +134,7 @@ def _offered(place: Place, label: Any) -> Watchable:
 
 def tasks_of(place: Place, label: Any) -> list[str]:
     """Return the tasks that an agent can be watched in."""
-    agent = _offered(place, label)
-    return [
-        name for name, task in worlds.tasks().items()
-        if agent.view in (None, task.view) and tier_of(name) in agent.tiers
-    ]  # fmt: skip
+    return _tasks(_offered(place, label))
 
 
 def watch(
@@ -182,8 +187,7 @@ def _explain(episode: Episode, step: int, what: str) -> tuple[np.ndarray, float]
 def _run(place: Place, chosen: Watchable, start: Start, key: tuple[Any, ...]) -> Episode:
     """Let the agent act until its episode ends, 200 steps at most."""
     agent: Any = load_agent(chosen.agent, chosen.folder, place.device)
-    encoder = getattr(agent, "encoder", None)
-    core, grader = worlds.core_and_grader(place, start, "multimodal", encoder)
+    core, grader = worlds.core_and_grader(place, start, "multimodal", encoder_of(agent))
     if hasattr(agent, "guide"):
         if grader is None:
             raise RacinesError(f"{chosen.label}: goes by a grader, and none of these views is here")

@@ -1,6 +1,7 @@
 """Patients in the Studio: their sheet, an episode in one, states handed on as links."""
 
 import io
+import json
 from dataclasses import replace
 from types import SimpleNamespace
 from urllib.parse import parse_qsl
@@ -16,6 +17,7 @@ from racines_envs.agents.servo.learner import ServoConfig
 from racines_envs.evaluation.patients import StartSet
 from racines_envs.explain.maps import integrated_gradients, view_scores
 from racines_envs.task.actions import IDLE
+from racines_envs.task.tasks import TASKS
 from racines_envs.worlds.making import make_core
 from racines_envs.worlds.ward import make_ward
 from racines_leaderboard.studio import driving, links, patients, watching, worlds
@@ -141,7 +143,28 @@ def test_who_can_be_watched_where():
     assert "A4C-beating" in servo and "SC-patients" in servo and "SC" not in servo
     assert set(watching.tasks_of(Place(data=None), "planner")) == set(worlds.tasks())
     assert watching.tasks_of(Place(data=None), "ppo-image (published)") == ["SC"]
-    assert "hill-climber" in offered
+    assert watching.tasks_of(Place(data=None), "hill-climber") == [*TASKS]
+    belief = watching.tasks_of(Place(data=None), "ppo-belief (published)")
+    assert belief == watching.tasks_of(Place(data=None), "servo-memory-plus (published)") == servo
+    assert all(watching.tasks_of(Place(data=None), label) for label in offered)
+
+
+def test_who_was_trained_on_patients_is_watched_there(tmp_path):
+    for name, view in (("mine", "A4C-beating"), ("any", "AnyView-beating"), ("other", "kidney")):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "policy.safetensors").touch()
+        told = {"agent": "ppo", "config": {"view": view}}
+        (tmp_path / name / "config.json").write_text(json.dumps(told))
+    place = Place(data=None, agents=tmp_path)
+    assert watching.tasks_of(place, "mine") == ["A4C-beating"]
+    # One that has to be told the goal, and one of an organ that is not here, fit nothing offered.
+    assert not {"any", "other"} & set(watching.agents(place))
+
+
+def test_a_policy_on_a_belief_finds_its_way_in_a_patient():
+    episode = watching.watch(PLACE, "ppo-belief (published)", "A4C-patients", 0, patient=PATIENT)
+    assert episode.steps > 3 and watching.moment(episode, episode.steps).truth
+    assert watching.ACTION not in episode.explainable
 
 
 def test_a_planner_finds_a_view_of_a_patient():

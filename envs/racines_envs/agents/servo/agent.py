@@ -22,7 +22,7 @@ from racines_envs.agents.servo.rounds import discard, learn
 from racines_envs.agents.steering import Steering
 from racines_envs.agents.training import seeded
 from racines_envs.task.core import ScanCore
-from racines_envs.task.names import HEART_TIER
+from racines_envs.task.names import TIERS
 from racines_models.devices import on_device, resolve_device
 from racines_models.networks.batching import Lasting, in_fixed_batches
 from racines_models.networks.servo import Reading, ServoEnsemble, ServoNetwork
@@ -40,6 +40,7 @@ class ServoAgent:
     name: ClassVar[str] = "servo"
     Config: ClassVar[type] = ServoConfig
     observation: str = "multimodal"
+    tiers: ClassVar[tuple[str, ...]] = TIERS[1:]
     beside: ClassVar[frozenset[str]] = frozenset({"processes", "store"})
     """Settings on which nothing that is learned depends: who is done stays so if they change."""
 
@@ -50,7 +51,7 @@ class ServoAgent:
 
     def attach(self, core: ScanCore) -> None:
         """Take the steps and the workspace of an environment, and learn which view is asked for."""
-        if core.task.tier == HEART_TIER:
+        if core.task.tier not in self.tiers:
             raise RacinesError(
                 f"{self.name} was trained on patients and observes {self.observation} of them; it "
                 f"is not for {core.task.id}: use --tier patients or beating"
