@@ -326,9 +326,10 @@ def decision() -> dict[str, float]:
 
 
 def ahead_of(tables: Mapping[str, Any]) -> dict[str, float]:
-    """Return by tier how far train patients are ahead, points, where they were scanned."""
-    told = {row[0]: float(row[4]) for row in tables.get("gap", {}).get("rows", [])}
-    return {tier: told[hearts] for tier, hearts in TIERS.items() if hearts in told}
+    """Return by tier how far train patients are ahead, points, where the best agent scanned any."""
+    told = {tuple(row[:2]): float(row[4]) for row in tables.get("gap", {}).get("rows", [])}
+    best = {tier: (hearts, f"`{BEST[tier]}`") for tier, hearts in TIERS.items()}
+    return {tier: told[row] for tier, row in best.items() if row in told}
 
 
 def gap(path: Path, found: Found) -> list[str]:
@@ -342,15 +343,19 @@ def gap(path: Path, found: Found) -> list[str]:
     tier, view = task["definition"]["tier"], task["definition"]["view"]
     if task["split"] != "train" or view != "A4C":
         raise ValueError(f"{path}: not of A4C of train patients")
-    test = found[BEST[tier], view, tier, "test"]["metrics"]
-    if train["weights"]["files"] != found[BEST[tier], view, tier, "test"]["weights"]["files"]:
+    scored = {name: found[name, view, tier, "test"] for name in DRAWN
+              if (name, view, tier, "test") in found}  # fmt: skip
+    own = [name for name, each in scored.items()
+           if (each.get("weights") or {}).get("files") == train["weights"]["files"]]  # fmt: skip
+    if not own:
         raise ValueError(f"{path}: of other weights than the board's")
+    test = scored[own[0]]["metrics"]
     cells = [percent(each["success_declared"]) for each in (train["metrics"], test)]
     told = [measured(train["metrics"], "position_error", "mm"),
             measured(train["metrics"], "rotation_error", "°")]  # fmt: skip
     ahead = 100 * (train["metrics"]["success_declared"]["value"]
                    - test["success_declared"]["value"])  # fmt: skip
-    return [TIERS[tier], f"`{BEST[tier]}`", *cells, f"{ahead:+.1f}", *told]
+    return [TIERS[tier], f"`{own[0]}`", *cells, f"{ahead:+.1f}", *told]
 
 
 def fill(arguments: list[str]) -> None:
@@ -364,14 +369,11 @@ def fill(arguments: list[str]) -> None:
     figures |= starting("patients")
     if "--latency" in arguments:
         figures["decision"] = decision()
-    best = {told: f"`{BEST[tier]}`" for tier, told in TIERS.items()}
-    # What was measured of another agent, which was the best then, is not its own.
-    kept = [row for row in tables.get("gap", {}).get("rows", []) if row[1] == best[row[0]]]
-    rows = {row[0]: row for row in kept}
+    rows = {tuple(row[:2]): row for row in tables.get("gap", {}).get("rows", [])}
     for argument in arguments:
         if not argument.startswith("--"):
             row = gap(Path(argument), found)
-            rows[row[0]] = row
+            rows[row[0], row[1]] = row
     if rows:
         columns = ["hearts", "agent", "train patients", "test patients", "points ahead",
                    "distance, train", "angle, train"]  # fmt: skip
