@@ -23,6 +23,7 @@ from racines_data.phantom.anatomy import load_anatomy
 from racines_data.phantom.config import ProbeConfig
 from racines_data.randomness import normal, sample_seeds
 from racines_data.world import World
+from racines_envs.agents.protocol import encoder_of
 from racines_models.judges.grader.model import Grader
 from racines_models.protocol import Judge
 
@@ -55,6 +56,11 @@ def policy_logits(agent: Any) -> Explained:
         raise RacinesError(
             f"agent {name!r} has no logits(observation) to differentiate: only learned policies "
             "(such as ppo) can be explained"
+        )
+    if getattr(agent, "encoder", None) is not encoder_of(agent):
+        raise RacinesError(
+            f"agent {name!r} goes by what all images of an episode told it: no one image's pixels "
+            "explain a step"
         )
     for network in (getattr(agent, "actor", None), getattr(agent, "encoder", None)):
         if network is not None:

@@ -17,6 +17,7 @@ from racines_envs.evaluation.run import check_view
 from racines_envs.explain import maps as attribution
 from racines_envs.task.actions import ACTIONS
 from racines_envs.task.core import ScanCore
+from racines_envs.task.names import HEART_TIER
 from racines_envs.task.rewards import get_reward
 from racines_envs.task.starts import evaluation_seeds
 from racines_envs.worlds.backends import make_grader
@@ -113,6 +114,11 @@ def explain(
     task = find_task(config.view, phantom)
     agent = load_agent(name, run_dir, config.device)
     check_view(agent, config.view, name, run_dir)
+    if task.tier != HEART_TIER:
+        raise RacinesError(
+            f"explain.view: {config.view} is a task on patients, and regions of truth are known of "
+            "one heart: `racines studio` draws what moved an agent there, a step at a time"
+        )
     judge = attribution.policy_logits(agent)
     if grader is None and config.grader:
         grader = make_grader(config.grader, config.device)

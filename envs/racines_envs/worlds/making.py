@@ -201,7 +201,9 @@ def _world_of(
         own = make_ward(task.tier, split or "train", patients, device, phantom=str(phantom))
         return check_shown(task, own)
     if phantom is not None:
-        raise RacinesError(f"{task.id}: its world is a ward of patients, not {phantom!r}")
+        raise RacinesError(
+            f"{task.id}: its world is a ward of patients, not one heart ({type(phantom).__name__})"
+        )
     return make_ward(task.tier, split or "train", patients, device)
 
 

@@ -1,6 +1,8 @@
 """Attributions: exact where that can be known, better than chance where it should be, and whole."""
 
 import json
+from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -198,12 +200,18 @@ def test_explaining_writes_scores_maps_and_pictures(phantom, tmp_path, observati
 
 
 def test_what_cannot_be_explained_is_refused(phantom, tmp_path):
+    own_eyes = SimpleNamespace(name="it", observation="image", logits=None, encoder=object())
+    with pytest.raises(RacinesError, match="no one image's pixels"):
+        policy_logits(own_eyes)
     with pytest.raises(RacinesError, match="looks at no image"):
         explain("ppo", agent(tmp_path / "params", "params"), SMALL, phantom)
     with pytest.raises(RacinesError, match="looks at no image"):
         explain("planner", tmp_path, SMALL, phantom)
     with pytest.raises(RacinesError, match="trained for PL"):
         explain("ppo", agent(tmp_path / "pl", view="PL"), SMALL, phantom)
+    config = replace(SMALL, view="A4C-beating")
+    with pytest.raises(RacinesError, match="a task on patients"):
+        explain("ppo", agent(tmp_path / "beating", view="A4C-beating"), config, phantom)
     with pytest.raises(RacinesError, match="explain.every is 0"):
         explain("ppo", tmp_path, ExplainConfig(every=0), phantom)
 
