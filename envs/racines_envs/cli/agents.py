@@ -96,7 +96,7 @@ def evaluate_agent(
     if split or patients:
         raise RacinesError("--split and --patients need --tier patients or beating")
     from racines_data.config import fill, section
-    from racines_envs.evaluation.agent_specs import find_entry, result_name
+    from racines_envs.evaluation.agent_specs import find_trained, result_name
     from racines_envs.evaluation.run import (
         EvaluationConfig,
         evaluate,
@@ -108,7 +108,7 @@ def evaluate_agent(
     from racines_models.provenance import check_name
 
     values = read_settings(params, profile)
-    entry = find_entry(values, agent, name)
+    entry = find_trained(values, agent, name, run)
     chosen = given(view=entry.view) | given(
         view=view, starts=starts, backend=backend, generator=generator, reward=reward,
         data=data, grader=grader, device=device, seed=seed,
@@ -147,14 +147,14 @@ def _on_recordings(
 ) -> None:  # fmt: skip
     """Score an agent in recorded frames alone; settings are those of `evaluation` and `replay`."""
     from racines_data.config import fill, section
-    from racines_envs.evaluation.agent_specs import find_entry, plain_name
+    from racines_envs.evaluation.agent_specs import find_trained, plain_name
     from racines_envs.evaluation.run import EvaluationConfig, evaluate, write_evaluation
     from racines_envs.robots.arm import FREE
     from racines_models.cli.output import show_metrics
     from racines_models.provenance import check_name
 
     values = read_settings(params, profile)
-    entry = find_entry(values, agent, name)
+    entry = find_trained(values, agent, name, run)
     chosen = {"split": "test"} | section(values, "replay").of("split") | chosen
     where_to = view or (None if "goal" in chosen else entry.view)
     world, rest, label = open_env(env, values, where_to, chosen, chosen.get("device"))
@@ -185,7 +185,7 @@ def _on_patients(
 ) -> None:  # fmt: skip
     """Score an agent on patients, whose settings are the section `evaluation_patients`."""
     from racines_data.config import fill, section
-    from racines_envs.evaluation.agent_specs import find_entry, plain_name
+    from racines_envs.evaluation.agent_specs import find_trained, plain_name
     from racines_envs.evaluation.patients import PatientsConfig, evaluate_patients, row_name
     from racines_envs.evaluation.run import write_evaluation
     from racines_envs.robots.arm import FREE
@@ -193,7 +193,7 @@ def _on_patients(
     from racines_models.provenance import check_name
 
     values = read_settings(params, profile)
-    entry, stated = find_entry(values, agent, name), section(values, "evaluation_patients")
+    entry, stated = find_trained(values, agent, name, run), section(values, "evaluation_patients")
     config = fill(PatientsConfig, stated | chosen, "evaluation_patients")
     board, tier = values.get("board"), tier_of(config.view)
     label = plain_name(f"{entry.name}-{config.view}-{config.split}")

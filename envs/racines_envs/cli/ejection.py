@@ -49,13 +49,13 @@ def ejection(
     from racines_data.files import write_atomic, write_json
     from racines_data.progress import progress_bar
     from racines_data.tables import console_table
-    from racines_envs.evaluation.agent_specs import find_entry
+    from racines_envs.evaluation.agent_specs import find_trained
     from racines_envs.studies.ejection import EjectionConfig, draw_ejection, study_ejection
     from racines_models.cli.output import tell
     from racines_models.judges.segmentation.model import SegmentationJudge
 
     values = read_settings(params, profile)
-    entry = find_entry(values, agent)
+    entry = find_trained(values, agent, run=run)
     chosen: dict[str, Any] = given(
         split=split, patients=patients, starts=starts, seed=seed, device=device
     ) | overrides(settings)

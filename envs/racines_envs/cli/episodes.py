@@ -99,13 +99,13 @@ def explain(
     A grader is explained beside it. The result goes to envs/runs/explain/<run>, or --out.
     """
     from racines_data.config import fill, section
-    from racines_envs.evaluation.agent_specs import RUNS, find_entry
+    from racines_envs.evaluation.agent_specs import RUNS, find_trained
     from racines_envs.explain.run import ExplainConfig, write_explanation
     from racines_envs.explain.run import explain as explain_agent
     from racines_models.cli.output import show_metrics
 
     values = read_settings(params, profile)
-    entry = find_entry(values, agent)
+    entry = find_trained(values, agent, run=run)
     chosen = given(view=entry.view) | given(
         view=view, starts=starts, backend=backend, data=data, generator=generator, reward=reward,
         grader=grader, device=device, seed=seed,
@@ -185,14 +185,14 @@ def export_trace(
     With --tier patients or beating the starts are those on patients of --split.
     """
     from racines_data.config import fill, section
-    from racines_envs.evaluation.agent_specs import find_entry
+    from racines_envs.evaluation.agent_specs import find_trained
     from racines_envs.evaluation.patients import PatientsConfig, record_on_patients
     from racines_envs.evaluation.run import EvaluationConfig, record_trace
 
     check_ending(out, ".json")
     settings, task = read_settings(params, profile), on_tier(view, tier)
     chosen = given(view=task, starts=starts, reward=reward, seed=seed)
-    entry = find_entry(settings, agent)
+    entry = find_trained(settings, agent, run=run)
     folder = run or entry.trained
     if task is not None and tier_of(task) != HEART_TIER:
         if grader:

@@ -40,7 +40,7 @@ def evaluate_robustness(
     from racines_data.files import write_atomic
     from racines_data.progress import progress_bar
     from racines_data.tables import console_table
-    from racines_envs.evaluation.agent_specs import find_entry
+    from racines_envs.evaluation.agent_specs import find_trained
     from racines_envs.studies.robustness.figures import draw_robustness
     from racines_envs.studies.robustness.run import (
         RobustnessConfig,
@@ -50,7 +50,7 @@ def evaluate_robustness(
     from racines_models.cli.output import tell
 
     values = read_settings(params, profile)
-    entry = find_entry(values, agent)
+    entry = find_trained(values, agent, run=run)
     chosen: dict[str, Any] = given(
         view=on_tier(view or "A4C", tier), split=split, patients=patients, starts=starts,
         seed=seed, device=device,

@@ -26,7 +26,7 @@ import torch
 
 from racines_data.config import section
 from racines_data.errors import RacinesError
-from racines_envs.agents import Agent, agent_class, learns, load_agent
+from racines_envs.agents import Agent, agent_class, agent_names, learns, load_agent
 from racines_envs.agents.protocol import FILES
 from racines_envs.task.names import HEART_TIER
 from racines_envs.task.tasks import get_task
@@ -213,6 +213,23 @@ def find_entry(settings: dict[str, Any], spec: str, name: str | None = None) -> 
     if repeats > 1 and not learns(agent_class(agent)):
         raise RacinesError(f"{place}.{own}.repeats: {agent} learns nothing: one run is all it has")
     return Entry(name or called or own, agent, chosen, values.get("view"), repeats, place)
+
+
+def find_trained(
+    settings: dict[str, Any], spec: str, name: str | None = None, run: Path | None = None
+) -> Entry:
+    """Return the run that a spec names, as `find_entry`, but to be judged and not to be trained.
+
+    One that the settings do not have is what its folder says: `run`, or else that of its name,
+    trained here or published.
+    """
+    listed = any(spec in section(settings, each) for each in SECTIONS)
+    if not listed and spec not in agent_names() and spec == plain_name(spec):
+        folder = run or trained_folder(spec)
+        if (folder / "config.json").is_file():
+            found = find_run(str(folder))
+            return Entry(name or spec, found.agent, found.config, found.config.get("view"))
+    return find_entry(settings, spec, name)
 
 
 def plain_name(text: str) -> str:

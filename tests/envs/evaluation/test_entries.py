@@ -8,7 +8,7 @@ import pytest
 from typer.testing import CliRunner
 
 from racines_data.errors import RacinesError
-from racines_envs.evaluation.agent_specs import find_entry, result_name
+from racines_envs.evaluation.agent_specs import find_entry, find_trained, result_name
 from racines_envs.evaluation.run import EvaluationConfig
 from racines_leaderboard.cli.command import app
 from tests.leaderboard.graphs import sound_policy
@@ -158,3 +158,19 @@ def test_no_result_is_overwritten_in_silence(real_phantom, tmp_path, monkeypatch
     assert "written" in run("X.onnx", "--force")
     (folder / "y.json").write_text("no scores")
     assert "no scores: --force" in run("y.onnx")
+
+
+def test_a_published_run_is_judged_without_an_entry(tmp_path):
+    one = find_trained({}, "servo-memory-plus")
+    assert (one.name, one.agent, one.view) == ("servo-memory-plus", "servo-memory", None)
+    assert one.settings["looks"] == 2 and one.trained.name == one.name
+    assert find_trained({}, "ppo-image-pl", "mine").view == "PL"
+    assert find_trained({"agents": {"servo-full": {"agent": "ppo"}}}, "servo-full").agent == "ppo"
+    assert find_trained({}, "servo").settings == {}, "an agent's name is the agent, as in training"
+    (tmp_path / "config.json").write_text('{"agent": "dqn", "config": {"view": "SC"}}')
+    assert find_trained({}, "own", run=tmp_path).agent == "dqn"
+    for spec in ("ghost", "../envs/weights/servo-full"):
+        with pytest.raises(RacinesError, match="unknown agent"):
+            find_trained({}, spec)
+    with pytest.raises(RacinesError, match="unknown agent 'servo-full'"):
+        find_entry({}, "servo-full")
