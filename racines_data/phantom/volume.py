@@ -55,7 +55,7 @@ def bake(anatomy: Anatomy, block: BlockConfig) -> Volume:
     packed = torch.zeros((*shape, 8), dtype=torch.uint8)
     packed[..., 7] = 255  # outside: air, nothing passes
     core = packed[1:-1, 1:-1, 1:-1]
-    scatter.mul_(amplitude).div_(SCATTERER_STEP)  # in place: see `sheet_normals`
+    scatter.mul_(amplitude).div_(SCATTERER_STEP)  # in place: grids of the whole block are large
     echoes = scatter.round_().clamp_(-32767, 32767).to(torch.int16)
     core[..., 0:4] = echoes.movedim(0, -1).contiguous().view(torch.uint8)
     bytes_ = gradient.round_().clamp_(-127, 127).to(torch.int8)

@@ -16,6 +16,7 @@ from racines_envs.cli.settings import (
     Goal,
     Name,
     Tier,
+    on_patients,
     on_tier,
     open_env,
     phantom_config,
@@ -84,7 +85,7 @@ def evaluate_agent(
         where |= {"opened": spread(engine, address, device)}
         given_ = chosen | overrides(settings)
         return _on_recordings(agent, env, view, given_, params, profile, picture, **where)
-    task = on_tier(view, tier)
+    task = on_tier(view, tier) or _trained_for(agent, params, profile, name, run)
     if task is not None and tier_of(task) != HEART_TIER:
         chosen = given(
             view=task, split=split, patients=patients, starts=starts, reward=reward, seed=seed,
@@ -138,6 +139,15 @@ def evaluate_agent(
         if several := result.scores.get("trainings"):
             say("trainings: " + ", ".join(map(_told, several)))
         say(f"written: {out}")
+
+
+def _trained_for(
+    agent: str, params: Path | None, profile: str | None, name: str | None, run: Path | None
+) -> str | None:
+    """Return the task on patients that a run was trained for; None for others."""
+    from racines_envs.evaluation.agent_specs import find_trained
+
+    return on_patients(find_trained(read_settings(params, profile), agent, name, run).view)
 
 
 def _on_recordings(

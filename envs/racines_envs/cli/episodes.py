@@ -10,7 +10,7 @@ from racines_data.cli import options as opt
 from racines_data.cli.options import check_ending, given, overrides, read_settings
 from racines_data.errors import RacinesError
 from racines_data.terminal import say, say_json
-from racines_envs.cli.settings import Agent, on_tier, phantom_config
+from racines_envs.cli.settings import Agent, on_patients, on_tier, phantom_config
 from racines_envs.task.names import HEART_TIER, tier_of
 from racines_models.cli.device import OneDevice
 
@@ -190,9 +190,10 @@ def export_trace(
     from racines_envs.evaluation.run import EvaluationConfig, record_trace
 
     check_ending(out, ".json")
-    settings, task = read_settings(params, profile), on_tier(view, tier)
-    chosen = given(view=task, starts=starts, reward=reward, seed=seed)
+    settings = read_settings(params, profile)
     entry = find_trained(settings, agent, run=run)
+    task = on_tier(view, tier) or on_patients(entry.view)
+    chosen = given(view=task, starts=starts, reward=reward, seed=seed)
     folder = run or entry.trained
     if task is not None and tier_of(task) != HEART_TIER:
         if grader:

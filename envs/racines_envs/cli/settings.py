@@ -7,7 +7,8 @@ import typer
 from racines_data.cli import options as opt
 
 Agent = Annotated[
-    str, typer.Argument(help="Registered agent, module:Class, or a run of the section agents.")
+    str,
+    typer.Argument(help="Registered agent, module:Class, or a run: of a section, or published."),
 ]
 Name = Annotated[str | None, typer.Option(help="What to call the run; as the agent, or its entry.")]
 
@@ -17,6 +18,13 @@ Env = Annotated[
 Goal = Annotated[str | None, typer.Option(help="With --env, the frame to find, TRAJECTORY:FRAME.")]
 
 Tier = opt.Tier
+
+
+def on_patients(task: Any) -> str | None:
+    """Return the name of a task on patients that a run was trained for; None of any other."""
+    from racines_envs.task.names import HEART_TIER, tier_of
+
+    return task if isinstance(task, str) and tier_of(task) != HEART_TIER else None
 
 
 def on_tier(view: str | None, tier: str | None) -> str | None:

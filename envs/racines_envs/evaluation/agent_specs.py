@@ -155,6 +155,8 @@ class Entry:
     """With how many seeds it is trained."""
     section: str = SECTIONS[0]
     """Where it stands in the params file."""
+    found: Path | None = None
+    """The folder that says what it is, where no params file does."""
 
     @property
     def where(self) -> str:
@@ -169,7 +171,7 @@ class Entry:
     @property
     def trained(self) -> Path:
         """The run's folder, or the published one of its name where none was trained here."""
-        return (
+        return self.found or (
             self.folder if Path(self.agent).suffix.lower() in FILES else trained_folder(self.name)
         )
 
@@ -220,16 +222,21 @@ def find_trained(
 ) -> Entry:
     """Return the run that a spec names, as `find_entry`, but to be judged and not to be trained.
 
-    One that the settings do not have is what its folder says: `run`, or else that of its name,
-    trained here or published.
+    One that the settings do not have is what the folder of its name says: trained here, published,
+    or `run`, if that is called so.
     """
     listed = any(spec in section(settings, each) for each in SECTIONS)
-    if not listed and spec not in agent_names() and spec == plain_name(spec):
-        folder = run or trained_folder(spec)
-        if (folder / "config.json").is_file():
-            found = find_run(str(folder))
-            return Entry(name or spec, found.agent, found.config, found.config.get("view"))
-    return find_entry(settings, spec, name)
+    if listed or spec in agent_names() or spec != plain_name(spec):
+        return find_entry(settings, spec, name)
+    own = run is not None and run.resolve().name == spec
+    folder = run if run is not None and own else trained_folder(spec)
+    if not (folder / "config.json").is_file() or (run is not None and not own):
+        return find_entry(settings, spec, name)
+    told = read_json(folder / "config.json")
+    if not isinstance(told, dict) or not isinstance(told.get("agent"), str):
+        raise RacinesError(f"{folder / 'config.json'}: names no agent: it is not an agent's run")
+    values = told.get("config") or {}
+    return Entry(name or spec, told["agent"], values, values.get("view"), found=folder)
 
 
 def plain_name(text: str) -> str:

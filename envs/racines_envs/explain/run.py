@@ -113,13 +113,13 @@ def explain(
     config = on_device(config)
     task = find_task(config.view, phantom)
     agent = load_agent(name, run_dir, config.device)
+    judge = attribution.policy_logits(agent)
     check_view(agent, config.view, name, run_dir)
     if task.tier != HEART_TIER:
         raise RacinesError(
             f"explain.view: {config.view} is a task on patients, and regions of truth are known of "
             "one heart: `racines studio` draws what moved an agent there, a step at a time"
         )
-    judge = attribution.policy_logits(agent)
     if grader is None and config.grader:
         grader = make_grader(config.grader, config.device)
     core = make_core(

@@ -105,7 +105,10 @@ def agents(place: Place) -> dict[str, Watchable]:
         if label not in offered and (agent := config.get("agent")) in agent_names():
             settings, changed = config.get("config"), weights.stat().st_mtime_ns
             settings = settings if isinstance(settings, dict) else {}
-            found = Watchable(label, agent, weights.parent, *_where(agent, settings), changed)
+            try:
+                found = Watchable(label, agent, weights.parent, *_where(agent, settings), changed)
+            except RacinesError:
+                continue  # of a package that is installed and cannot be imported
             if _tasks(found):
                 offered[label] = found
     return offered

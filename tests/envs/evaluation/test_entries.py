@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import shutil
 from pathlib import Path
 
 import pytest
@@ -11,6 +12,7 @@ from racines_data.errors import RacinesError
 from racines_envs.evaluation.agent_specs import find_entry, find_trained, result_name
 from racines_envs.evaluation.run import EvaluationConfig
 from racines_leaderboard.cli.command import app
+from tests.conftest import ROOT
 from tests.leaderboard.graphs import sound_policy
 
 PARAMS = """
@@ -164,13 +166,33 @@ def test_a_published_run_is_judged_without_an_entry(tmp_path):
     one = find_trained({}, "servo-memory-plus")
     assert (one.name, one.agent, one.view) == ("servo-memory-plus", "servo-memory", None)
     assert one.settings["looks"] == 2 and one.trained.name == one.name
-    assert find_trained({}, "ppo-image-pl", "mine").view == "PL"
+    mine = find_trained({}, "ppo-image-pl", "mine")
+    assert (mine.name, mine.view, mine.trained) == (
+        "mine",
+        "PL",
+        one.trained.with_name("ppo-image-pl"),
+    )
     assert find_trained({"agents": {"servo-full": {"agent": "ppo"}}}, "servo-full").agent == "ppo"
     assert find_trained({}, "servo").settings == {}, "an agent's name is the agent, as in training"
-    (tmp_path / "config.json").write_text('{"agent": "dqn", "config": {"view": "SC"}}')
-    assert find_trained({}, "own", run=tmp_path).agent == "dqn"
-    for spec in ("ghost", "../envs/weights/servo-full"):
+    own = tmp_path / "own"
+    own.mkdir()
+    (own / "config.json").write_text('{"agent": "dqn", "config": {"view": "SC"}}')
+    assert find_trained({}, "own", run=own).agent == "dqn"
+    for spec, run in (("ghost", None), ("ghost", own), ("../envs/weights/servo-full", None)):
         with pytest.raises(RacinesError, match="unknown agent"):
-            find_trained({}, spec)
+            find_trained({}, spec, run=run)
+    (own / "config.json").write_text("[]")
+    with pytest.raises(RacinesError, match="names no agent"):
+        find_trained({}, "own", run=own)
     with pytest.raises(RacinesError, match="unknown agent 'servo-full'"):
         find_entry({}, "servo-full")
+
+
+def test_who_was_trained_on_patients_is_judged_on_patients(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    shutil.copytree(ROOT / "envs/weights/beating/ppo-a4c", "envs/runs/mine")
+    words = ("eval", "agent", "mine", "--patients", "1", "--starts", "1", "--out", "mine.json")
+    done = CliRunner().invoke(app, words, catch_exceptions=False)
+    assert done.exit_code == 0, done.output
+    task = json.loads(Path("mine.json").read_text(encoding="utf-8"))["task"]
+    assert (task["definition"]["view"], task["definition"]["tier"]) == ("A4C", "beating")

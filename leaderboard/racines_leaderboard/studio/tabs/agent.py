@@ -23,8 +23,8 @@ from racines_leaderboard.studio.worlds import (
 INTRODUCTION = note(
     "An agent acts from a fixed start of the evaluation; then move through its steps. Attributions "
     "(Integrated Gradients) say what in the image moved it: red spoke for, blue against. Those of "
-    "the chosen action are there for policies that look at images; of the servo, what speaks for "
-    f"the view as it reads it. Patients by split: {PATIENTS_OFFERED}."
+    "the chosen action are there for policies that look at images themselves; of the servo, what "
+    f"speaks for the view as it reads it. Patients by split: {PATIENTS_OFFERED}."
 )
 
 
