@@ -144,7 +144,7 @@ def fill(found: Found) -> None:
                 "success_declared"]["value"], 1)
             for tier, told in TIERS.items()
         }
-        for agent in ("servo", "servo-full", "servo-memory", "servo-memory-full", "planner")
+        for agent in AGENTS[6:]
         if (agent, "A4C", "beating", "test") in found
     }  # fmt: skip
     told = found["servo", "A4C", "patients", "test"]["metrics"]["success_declared"]["settings"]

@@ -1,5 +1,6 @@
 """The study of a memory's further settings and lessons, at its smallest size."""
 
+import json
 from dataclasses import replace
 
 import pytest
@@ -24,6 +25,11 @@ def test_a_way_taught_by_more_has_the_settings_it_is_published_with():
     full = profile["servo-memory-full"]
     assert plus["patients"] == 2 * full["patients"]
     assert plus["round_patients"] == 2 * full["round_patients"]
+
+
+def test_the_published_table_has_a_row_a_way():
+    told = json.loads(study.RESULT.read_text(encoding="utf-8"))
+    assert [row[0] for row in told["tables"]["search"]["rows"]] == list(study.WAYS)
 
 
 def test_its_table_has_a_row_a_way():
