@@ -85,7 +85,9 @@ def evaluate_agent(
         where |= {"opened": spread(engine, address, device)}
         given_ = chosen | overrides(settings)
         return _on_recordings(agent, env, view, given_, params, profile, picture, **where)
-    task = on_tier(view, tier) or _trained_for(agent, params, profile, name, run)
+    task = on_tier(view, tier)
+    if task is None and tier is None:
+        task = _trained_for(agent, params, profile, name, run)
     if task is not None and tier_of(task) != HEART_TIER:
         chosen = given(
             view=task, split=split, patients=patients, starts=starts, reward=reward, seed=seed,

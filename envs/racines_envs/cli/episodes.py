@@ -192,7 +192,9 @@ def export_trace(
     check_ending(out, ".json")
     settings = read_settings(params, profile)
     entry = find_trained(settings, agent, run=run)
-    task = on_tier(view, tier) or on_patients(entry.view)
+    task = on_tier(view, tier)
+    if task is None and tier is None:
+        task = on_patients(entry.view)
     chosen = given(view=task, starts=starts, reward=reward, seed=seed)
     folder = run or entry.trained
     if task is not None and tier_of(task) != HEART_TIER:

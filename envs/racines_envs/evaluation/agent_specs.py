@@ -233,9 +233,9 @@ def find_trained(
     if not (folder / "config.json").is_file() or (run is not None and not own):
         return find_entry(settings, spec, name)
     told = read_json(folder / "config.json")
-    if not isinstance(told, dict) or not isinstance(told.get("agent"), str):
+    values = told.get("config", {}) if isinstance(told, dict) else None
+    if not isinstance(values, dict) or not isinstance(told.get("agent"), str):
         raise RacinesError(f"{folder / 'config.json'}: names no agent: it is not an agent's run")
-    values = told.get("config") or {}
     return Entry(name or spec, told["agent"], values, values.get("view"), found=folder)
 
 

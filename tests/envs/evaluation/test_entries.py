@@ -181,8 +181,12 @@ def test_a_published_run_is_judged_without_an_entry(tmp_path):
     for spec, run in (("ghost", None), ("ghost", own), ("../envs/weights/servo-full", None)):
         with pytest.raises(RacinesError, match="unknown agent"):
             find_trained({}, spec, run=run)
-    (own / "config.json").write_text("[]")
-    with pytest.raises(RacinesError, match="names no agent"):
+    for damaged in ("[]", '{"agent": "ppo", "config": []}', '{"config": {}}'):
+        (own / "config.json").write_text(damaged)
+        with pytest.raises(RacinesError, match="names no agent"):
+            find_trained({}, "own", run=own)
+    (own / "config.json").write_text('{"agent": "dq')
+    with pytest.raises(RacinesError, match=r"config\.json: not readable as JSON"):
         find_trained({}, "own", run=own)
     with pytest.raises(RacinesError, match="unknown agent 'servo-full'"):
         find_entry({}, "servo-full")
@@ -196,3 +200,5 @@ def test_who_was_trained_on_patients_is_judged_on_patients(tmp_path, monkeypatch
     assert done.exit_code == 0, done.output
     task = json.loads(Path("mine.json").read_text(encoding="utf-8"))["task"]
     assert (task["definition"]["view"], task["definition"]["tier"]) == ("A4C", "beating")
+    asked = CliRunner().invoke(app, ("eval", "agent", "mine", "--tier", "heart", "--patients", "1"))
+    assert "--patients need --tier patients" in str(asked.exception or asked.output)
